@@ -53,7 +53,7 @@ OPTIONS = (
 
 
 def executable() -> str | None:
-    """Where a Chromium is on this machine, or None."""
+    """Return the path of a Chromium on this machine, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -75,9 +75,9 @@ class Browser:
 
     def __init__(self, *options: str) -> None:
         self._folder = tempfile.mkdtemp(prefix="slg-chromium-")
-        said = Path(self._folder, "said")
+        stderr = Path(self._folder, "said")
         command = [executable(), *OPTIONS, *options, f"--user-data-dir={self._folder}/profile"]
-        with said.open("wb") as output:
+        with stderr.open("wb") as output:
             # A session of its own, so that the whole group can be ended.
             self.process = subprocess.Popen(
                 [*command, "about:blank"],
@@ -94,7 +94,7 @@ class Browser:
             time.sleep(0.02)
             lines = file.read_text().splitlines() if file.exists() else []
         if len(lines) != 2:
-            problem = f"Chromium did not start: {said.read_text(errors='replace')[-2000:]}"
+            problem = f"Chromium did not start: {stderr.read_text(errors='replace')[-2000:]}"
             self.close()
             raise PageError(problem)
         self.address = f"127.0.0.1:{lines[0]}{lines[1]}"
@@ -167,9 +167,9 @@ class Tab:
         # In CSS pixels, which are the pixels of a screenshot.
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
-        found = self.call("Page.navigate", url=url)
-        if "errorText" in found:
-            raise PageError(f"{url}: {found['errorText']}")
+        answer = self.call("Page.navigate", url=url)
+        if "errorText" in answer:
+            raise PageError(f"{url}: {answer['errorText']}")
         self.wait("document.readyState === 'complete'")
 
     def send(self, method: str, values: dict[str, Any], session: str = "") -> dict[str, Any]:
@@ -199,8 +199,8 @@ class Tab:
         )
         if "exceptionDetails" in answer:
             details = answer["exceptionDetails"]
-            said = details.get("exception", {}).get("description") or details["text"]
-            raise PageError(f"{said} in: {script[:200]}")
+            message = details.get("exception", {}).get("description") or details["text"]
+            raise PageError(f"{message} in: {script[:200]}")
         return answer["result"].get("value")
 
     def wait(self, condition: str, seconds: float = PATIENCE) -> Any:
@@ -223,7 +223,7 @@ class Tab:
         raise PageError(f"the picture still changes after {seconds} s")
 
     def screenshot(self) -> np.ndarray:
-        """What the view shows: uint8 [H, W, 3]."""
+        """Return the page as an image, uint8 [H, W, 3]."""
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return np.array(Image.open(io.BytesIO(data)).convert("RGB"))
 
@@ -279,11 +279,11 @@ class Tab:
             self.complaints.append(f"failed request: {values.get('errorText')}")
         elif method == "Runtime.exceptionThrown":
             details = values["exceptionDetails"]
-            said = details.get("exception", {}).get("description") or details["text"]
-            self.complaints.append(f"exception: {said}")
+            message = details.get("exception", {}).get("description") or details["text"]
+            self.complaints.append(f"exception: {message}")
         elif method == "Runtime.consoleAPICalled" and values["type"] in ("error", "warning"):
-            said = " ".join(str(a.get("value", a.get("description"))) for a in values["args"])
-            self.complaints.append(f"{values['type']}: {said}")
+            message = " ".join(str(a.get("value", a.get("description"))) for a in values["args"])
+            self.complaints.append(f"{values['type']}: {message}")
         elif method == "Log.entryAdded" and values["entry"]["level"] in ("error", "warning"):
             entry = values["entry"]
             self.complaints.append(f"{entry['level']}: {entry['text']} {entry.get('url', '')}")

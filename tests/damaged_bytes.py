@@ -35,8 +35,8 @@ SIZES = [0, 1, 2, 255, 20_000, 65_535, 2**31 - 1, 2**32 - 1]
 def damaged(data: bytes, name: str, rng: random.Random) -> bytes:
     """The file with one to three places damaged, in ways that fit its kind, or in any."""
     ways = WAYS.get(Path(name).suffix.lower(), [])
-    whole, left = data, rng.choice([1, 1, 1, 2, 3])
-    while left > 0 or data == whole:
+    original, left = data, rng.choice([1, 1, 1, 2, 3])
+    while left > 0 or data == original:
         way = rng.choice([any_bytes, *ways, *ways])
         try:
             data = way(data, rng)
@@ -76,7 +76,7 @@ def _put(data: bytes, at: int, what: bytes) -> bytes:
 def any_text(data: bytes, rng: random.Random) -> bytes:
     text = data.decode("latin-1")
     lines = text.splitlines(keepends=True)
-    line, other = rng.randrange(len(lines)), rng.randrange(len(lines))
+    line, second = rng.randrange(len(lines)), rng.randrange(len(lines))
     way = rng.choice(["number", "number", "number", "word", "swap", "lose", "repeat", "odd"])
     if way in ("number", "word", "odd"):
         pattern = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?" if way == "number" else r"\S+"
@@ -87,7 +87,7 @@ def any_text(data: bytes, rng: random.Random) -> bytes:
         new = rng.choice({"number": NUMBERS, "word": words, "odd": odd}[way])
         return (text[:start] + new + text[end:]).encode("latin-1")
     if way == "swap":
-        lines[line], lines[other] = lines[other], lines[line]
+        lines[line], lines[second] = lines[second], lines[line]
     else:
         lines[line] *= 0 if way == "lose" else 2
     return "".join(lines).encode("latin-1")

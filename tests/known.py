@@ -16,7 +16,7 @@ QUALITY = Quality(0.7, 0.6, 12.0, 15.0, 200, 0.9, 7.1, True)
 def known_bank(
     sample: Sample, gaussians: Gaussians, labels: LabelMaps, method: Method
 ) -> MemoryBank:
-    """What a method remembers of the objects of these label maps."""
+    """Build the memory bank of the objects of label maps."""
     geometry = SceneGeometry.of(sample.context, gaussians)
     return build_memory_bank(sample, geometry, labels, method.encoder, method.codes, method.seed)
 

@@ -96,8 +96,8 @@ def make_photographs(folder: Path) -> None:
     frames[0] |= {"depth_file_path": "a_depth.png", "k1": 0.05, "p1": 0.001}
     frames[1] |= {"depth_file_path": "b_depth.npy", "depth_unit_scale_factor": 0.01}
     frames[2] |= {"camera_model": "OPENCV_FISHEYE", "k1": 0.01}
-    said = {"focal": [0.9, 1.1], "source": "EXIF", "confidence": 0.5, "up": [0, -1, 0]}
-    frames[3] |= {nerfstudio.EXTENSION_KEY: {"estimated": said, "near": 0.5, "far": 9.0}}
+    estimated = {"focal": [0.9, 1.1], "source": "EXIF", "confidence": 0.5, "up": [0, -1, 0]}
+    frames[3] |= {nerfstudio.EXTENSION_KEY: {"estimated": estimated, "near": 0.5, "far": 9.0}}
     meta = {"w": W, "h": H, "fl_x": 20.0, "fl_y": 21.0, "cx": 12.0, "cy": 8.0, "frames": frames}
     (folder / "transforms.json").write_text(json.dumps(meta))
 
@@ -114,7 +114,7 @@ def make_alone(folder: Path) -> None:
     exif = Image.Exif()
     exif.update({tags.Make: "Apple", tags.Model: "iPhone", tags.Orientation: 6})
     head = b"Apple iOS\0\0\1MM\0\1" + struct.pack(">HHII", 8, 10, 3, 32) + bytes(4)
-    own = {
+    files = {
         tags.MakerNote: head + struct.pack(">6i", 0, 1, -1, 1, 0, 1),
         tags.LensModel: "back camera",
         tags.FocalLength: 4.0,
@@ -124,7 +124,7 @@ def make_alone(folder: Path) -> None:
         tags.ExifImageWidth: W,
         tags.ExifImageHeight: H,
     }
-    exif.get_ifd(ExifTags.IFD.Exif).update(own)
+    exif.get_ifd(ExifTags.IFD.Exif).update(files)
     for number, name in enumerate(("a.jpg", "b.png", "c.tif", "d.webp")):
         Image.fromarray(picture(number, 3)).save(folder / name, exif=exif)
 
@@ -171,13 +171,13 @@ def sparse_cameras() -> list[tuple[int, int, str, tuple[float, ...]]]:
 def make_sparse_text(folder: Path) -> None:
     sparse = new_folder(folder / "sparse")
     cameras = sparse_cameras()
-    lines = [f"{n} {name} {W} {H} {' '.join(map(str, own))}" for n, _, name, own in cameras]
+    lines = [f"{n} {name} {W} {H} {' '.join(map(str, values))}" for n, _, name, values in cameras]
     (sparse / "cameras.txt").write_text("# cameras\n" + "\n".join(lines) + "\n")
-    lines, seen = [], "1.0 2.0 1 3.0 4.0 -1"
+    lines, points = [], "1.0 2.0 1 3.0 4.0 -1"
     for number in range(1, 4):
         Image.fromarray(picture(number, 3)).save(new_folder(folder / "images") / f"{number}.png")
         lens = cameras[number % len(cameras)][0]
-        lines.append(f"{number} 1 0 0 0 {number} 0.5 0 {lens} {number}.png\n{seen}")
+        lines.append(f"{number} 1 0 0 0 {number} 0.5 0 {lens} {number}.png\n{points}")
     (sparse / "images.txt").write_text("# images\n" + "\n".join(lines) + "\n")
 
 
@@ -186,8 +186,8 @@ def make_sparse_binary(folder: Path) -> None:
     shutil.rmtree(folder / "sparse")
     sparse, cameras = new_folder(folder / "sparse"), sparse_cameras()
     data = struct.pack("<Q", len(cameras))
-    for number, model, _, own in cameras:
-        data += struct.pack(f"<iiQQ{len(own)}d", number, model, W, H, *own)
+    for number, model, _, parameters in cameras:
+        data += struct.pack(f"<iiQQ{len(parameters)}d", number, model, W, H, *parameters)
     (sparse / "cameras.bin").write_bytes(data)
     data = struct.pack("<Q", 3)
     for number in range(1, 4):
@@ -205,7 +205,7 @@ def camera(x: float) -> Camera:
 
 def a_clip(key: str) -> re10k.Clip:
     cameras = {str(i): camera(i) for i in range(3)}
-    pictures = {name: View(name, own, picture(int(name), 3)) for name, own in cameras.items()}
+    pictures = {name: View(name, cam, picture(int(name), 3)) for name, cam in cameras.items()}
     return re10k.clip_of(Scene(key, cameras, pictures.__getitem__))
 
 
@@ -285,8 +285,8 @@ def make_field(folder: Path) -> None:
     codes = np.array([[0.1, 0.2, 0.3], [0.9, 0.8, 0.7]], np.float32)
     bank = MemoryBank(np.array([3, 7], np.int32), codes, features, np.ones((2, 2), bool))
     cameras = {"a": camera(0), "b": camera(1)}
-    own = SemanticField(gaussians(), bank, cameras, {"encoder": "lexicon", "codes": "grid"})
-    own.teach("fox", 3).named(7, "Anna's").without([7]).save(folder / "field")
+    field = SemanticField(gaussians(), bank, cameras, {"encoder": "lexicon", "codes": "grid"})
+    field.teach("fox", 3).named(7, "Anna's").without([7]).save(folder / "field")
 
 
 def make_arrays(folder: Path) -> None:
@@ -412,20 +412,20 @@ FORMATS = {
 
 def trial(name: str, number: int, seed: int, folder: Path) -> None:
     """Damage one file of the set in ``folder``, read the set, and put the file right again."""
-    own = FORMATS[name]
+    kind = FORMATS[name]
     rng = random.Random(f"{seed} {name} {number}")
-    files = sorted(folder.glob(rng.choice(own.files)))
+    files = sorted(folder.glob(rng.choice(kind.files)))
     file = rng.choice([path for path in files if path.is_file()])
-    whole = file.read_bytes()
-    file.write_bytes(damaged(whole, file.name, rng))
+    content = file.read_bytes()
+    file.write_bytes(damaged(content, file.name, rng))
     try:
-        own.read(folder)
+        kind.read(folder)
     finally:
-        file.write_bytes(whole)
+        file.write_bytes(content)
 
 
 def verdict(name: str, number: int, seed: int, folder: Path) -> tuple[str, str]:
-    """What became of a file that leaves the process alive: its kind, and what was said."""
+    """Read a damaged file; return the kind of outcome and the message."""
     try:
         trial(name, number, seed, folder)
     except SLGaussianError as error:
@@ -439,7 +439,7 @@ def verdict(name: str, number: int, seed: int, folder: Path) -> tuple[str, str]:
 
 
 def _wrong(said: str, folder: Path) -> str | None:
-    """What is wrong with a sentence for the user, None if nothing is."""
+    """Return the fault of a message for the user, or None."""
     try:
         said.encode()
     except UnicodeEncodeError:

@@ -45,17 +45,17 @@ def square_field(
 ) -> SemanticField:
     """The field, with ID codes of this strategy; its photographs so many times as large."""
     cameras = [camera(x).resized(times * W, times * H) for x in (-0.4, 0.4)]
-    seen = [looked(cam) for cam in cameras]
-    images = [np.array([COLOURS[i] for i in labels.ravel()], np.uint8) for labels, _ in seen]
+    rendered = [looked(cam) for cam in cameras]
+    images = [np.array([COLOURS[i] for i in labels.ravel()], np.uint8) for labels, _ in rendered]
     views = [
         View(name, cam, image.reshape(cam.height, cam.width, 3))
         for name, cam, image in zip("ab", cameras, images, strict=True)
     ]
-    labels = np.stack([labels for labels, _ in seen])
+    labels = np.stack([labels for labels, _ in rendered])
     points = [
-        c.unproject(depth).reshape(-1, 3) for c, (_, depth) in zip(cameras, seen, strict=True)
+        c.unproject(depth).reshape(-1, 3) for c, (_, depth) in zip(cameras, rendered, strict=True)
     ]
-    depths = np.concatenate([depth.ravel() for _, depth in seen])
+    depths = np.concatenate([depth.ravel() for _, depth in rendered])
     n, spacing = len(depths), 0.6 * depths / FOCAL / times
     gaussians = Gaussians(
         means=torch.tensor(np.concatenate(points), dtype=torch.float32),

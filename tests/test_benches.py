@@ -27,17 +27,17 @@ def test_a_bench_writes_its_block_of_a_page_and_leaves_the_rest(tmp_path, monkey
     page.write_text("# Words\n\n<!-- a -->\nold\n<!-- end of a -->\n\nWritten by hand.\n")
     rows = [{"name": "one", "seconds": 0.01234, "off": 0.00123}, {"name": "two"}]
     columns = {"name": ("name", str), "seconds": ("ms", harness.ms), "off": ("off", harness.error)}
-    made = harness.table(rows, columns)
-    assert made.splitlines()[1:] == [
+    written = harness.table(rows, columns)
+    assert written.splitlines()[1:] == [
         "| --- | --: | --: |",
         "| one | 12.3 | 1.2e-3 |",
         "| two |  |  |",
     ]
     for name in "ab":
-        harness.publish(tmp_path, "words.md", f"python -m benches.x.{name} DATA", made)
+        harness.publish(tmp_path, "words.md", f"python -m benches.x.{name} DATA", written)
     block = "<!-- {0} -->\n\nMeasured today, by `python -m benches.x.{0} DATA`.\n\n{1}\n\n"
     block += "<!-- end of {0} -->"
-    a, b = (block.format(name, made) for name in "ab")
+    a, b = (block.format(name, written) for name in "ab")
     assert page.read_text() == f"# Words\n\n{a}\n\nWritten by hand.\n\n{b}\n"
     assert capsys.readouterr().out == f"{a}\n{b}\n"
 

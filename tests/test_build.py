@@ -54,18 +54,18 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
     room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=96)
     sample = room.sample(["view_00", "view_02"], near=0.9, far=20.0)
     depths = {}
-    for most in (33, 144):
-        given = {"planesweep": {"depth_candidates": most}}
-        field = build_field(sample, Method(replicas=1, settings=given))
+    for candidates in (33, 144):
+        options = {"planesweep": {"depth_candidates": candidates}}
+        field = build_field(sample, Method(replicas=1, settings=options))
         field.save(tmp_path / "field")
         settings = dict(SemanticField.load(tmp_path / "field").settings)
         settings.pop("lexicon", None)  # names the classifier where its weights are installed
         quality, account = settings.pop("quality"), SimpleNamespace(**settings.pop("account"))
         assert account.gaussians_kept == len(field.gaussians) < account.gaussians_made
         assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest
-        held = sum(array.nbytes for array in field.gaussians.to_arrays().values())
-        assert account.bytes_gaussians == held
-        assert 2 * 32 <= account.depths_tried <= account.depths_possible == 2 * most
+        nbytes = sum(array.nbytes for array in field.gaussians.to_arrays().values())
+        assert account.bytes_gaussians == nbytes
+        assert 2 * 32 <= account.depths_tried <= account.depths_possible == 2 * candidates
         assert (account.replicas_computed, account.replicas_asked) == (1, 1)
         assert settings.pop("verdict") == Quality(**quality).verdict()._asdict()
         assert quality["judged"] is False and 0.5 < quality["overlap"] < 1
@@ -77,10 +77,10 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
             "seed": 0,
             "keep": "needed",
             "bank": "groups",
-            **given,
+            **options,
         }
         cameras = [view.camera for view in sample.context]
-        depths[most] = source_depths(field.gaussians, cameras)
+        depths[candidates] = source_depths(field.gaussians, cameras)
     assert (depths[33] != depths[144]).any()
 
 
@@ -118,34 +118,34 @@ def test_the_seed_reaches_the_codes_and_not_the_depth(pair, field):
 
 
 def test_a_field_keeps_what_it_needs_or_all(pair, field):
-    few, every = field, build_field(pair, Method(replicas=1, keep="all"))
+    merged, unmerged = field, build_field(pair, Method(replicas=1, keep="all"))
     height, width = pair.context[0].image.shape[:2]
-    sources = every.gaussians.source.numpy()
+    sources = unmerged.gaussians.source.numpy()
     assert len(np.unique(sources)) == 2 * height * width
-    assert len(few.gaussians) < 0.95 * len(every.gaussians)
-    told = every.settings["account"]
-    assert told["gaussians_made"] == told["gaussians_kept"] == len(sources)
-    assert told["change_greatest"] == 0
+    assert len(merged.gaussians) < 0.95 * len(unmerged.gaussians)
+    account = unmerged.settings["account"]
+    assert account["gaussians_made"] == account["gaussians_kept"] == len(sources)
+    assert account["change_greatest"] == 0
     # Who is left has the object of the pixel that it came from, and no object is gone.
     labels = np.zeros(2 * height * width, np.int32)
-    labels[sources] = every.labels()
-    assert np.array_equal(few.labels(), labels[few.gaussians.source.numpy()])
-    assert set(few.labels()) == set(every.labels())
+    labels[sources] = unmerged.labels()
+    assert np.array_equal(merged.labels(), labels[merged.gaussians.source.numpy()])
+    assert set(merged.labels()) == set(unmerged.labels())
     with pytest.raises(InputError, match="keep: found 'al', expected one of needed, all"):
         Method(keep="al")
 
 
 def test_one_number_says_what_a_second_view_confirms():
     scene = datasets.load("procedural", seed=1, views=2, height=96, width=128)
-    given = scene.sample(list(scene.cameras))
-    field = build_field(given, Method(keep="all"))
+    sample = scene.sample(list(scene.cameras))
+    field = build_field(sample, Method(keep="all"))
     quality = Quality(**field.settings["quality"])
     guessed, source = field.gaussians.guessed.numpy(), field.gaussians.source.numpy()
     pixels = 2 * 96 * 128
     assert len(np.unique(source[~guessed])) / pixels == pytest.approx(quality.confirmed, abs=1e-4)
     assert 0.2 < quality.confirmed < 0.98
     outside = []
-    for view, other in zip(given.context, given.context[::-1], strict=True):
+    for view, other in zip(sample.context, sample.context[::-1], strict=True):
         at, _ = other.camera.project(view.camera.unproject(view.depth))
         outside.append(((at < -4) | (at > np.array([128, 96]) + 4)).any(-1))
     alone = np.stack(outside).ravel()[source]

@@ -56,10 +56,10 @@ def test_ports_are_on_loopback_and_volumes_are_known():
 
 
 def test_credentials_are_in_no_file_of_the_repository():
-    asked = {name for name, _ in re.findall(r"\$\{(AWS_\w+)(:\?[^}]*)\}", yaml.dump(COMPOSE))}
-    assert asked == {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"}
-    given = re.findall(r"^(\w+)=(.*)$", (DOCKER / ".env.example").read_text(), re.MULTILINE)
-    assert asked <= {name for name, _ in given} and not any(value for _, value in given)
+    variables = {name for name, _ in re.findall(r"\$\{(AWS_\w+)(:\?[^}]*)\}", yaml.dump(COMPOSE))}
+    assert variables == {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"}
+    examples = re.findall(r"^(\w+)=(.*)$", (DOCKER / ".env.example").read_text(), re.MULTILINE)
+    assert variables <= {name for name, _ in examples} and not any(value for _, value in examples)
     assert ".env" in (ROOT / ".gitignore").read_text().splitlines()
     secret = {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "MINIO_ROOT_USER"}
     for service in SERVICES.values():

@@ -46,35 +46,35 @@ def built(kind: str, source: Path, out: Path) -> Path:
     command = [sys.executable, "-c", code, str(out)]
     # Without our own source tree, which tests have on their path.
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    made = subprocess.run(command, cwd=source, env=env, capture_output=True, text=True)
-    assert made.returncode == 0, made.stderr
-    return out / made.stdout.splitlines()[-1]
+    done = subprocess.run(command, cwd=source, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return out / done.stdout.splitlines()[-1]
 
 
 def test_the_wheel_holds_the_files_of_the_packages_and_nothing_else(copy, tmp_path):
     with zipfile.ZipFile(built("wheel", copy, tmp_path)) as wheel:
         names = set(wheel.namelist())
-    about = {name for name in names if name.split("/")[0].endswith(".dist-info")}
-    held = names - about
+    metadata = {name for name in names if name.split("/")[0].endswith(".dist-info")}
+    package_files = names - metadata
     wanted = {name for name in source_files() if name.split("/")[0] in PACKAGES}
-    assert sorted(wanted - held) == [], "left out of the wheel: add it to package-data"
-    assert sorted(held - wanted) == [], "in the wheel, and not of the packages"
-    assert any(name.endswith("/entry_points.txt") for name in about)
+    assert sorted(wanted - package_files) == [], "left out of the wheel: add it to package-data"
+    assert sorted(package_files - wanted) == [], "in the wheel, and not of the packages"
+    assert any(name.endswith("/entry_points.txt") for name in metadata)
 
 
 @pytest.mark.skipif(not TRACKED, reason="only git knows which files are of the repository")
 def test_the_source_archive_holds_the_repository(copy, tmp_path):
     with tarfile.open(built("sdist", copy, tmp_path)) as archive:
         names = [member.name for member in archive.getmembers() if member.isfile()]
-    held = {name.split("/", 1)[1] for name in names}
-    assert sorted(source_files() - held) == [], "left out of the archive: add it to MANIFEST.in"
-    made = {name for name in held - source_files() if ".egg-info/" not in name}
-    assert made <= {"PKG-INFO", "setup.cfg"}
+    files = {name.split("/", 1)[1] for name in names}
+    assert sorted(source_files() - files) == [], "left out of the archive: add it to MANIFEST.in"
+    generated = {name for name in files - source_files() if ".egg-info/" not in name}
+    assert generated <= {"PKG-INFO", "setup.cfg"}
 
 
 def test_all_packages_are_named():
     """So that a package of a new name is not left out of both the wheel and the test above."""
-    found = {name.split("/")[0] for name in source_files() if name.endswith("/__init__.py")}
+    packages = {name.split("/")[0] for name in source_files() if name.endswith("/__init__.py")}
     config = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
     assert {f"{name}*" for name in PACKAGES} == set(config["packages"]["find"]["include"])
-    assert found - {"tests", "benches"} == set(PACKAGES)
+    assert packages - {"tests", "benches"} == set(PACKAGES)

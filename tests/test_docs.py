@@ -93,9 +93,9 @@ def sources() -> list[Path]:
 def test_files_that_are_named_exist():
     missing = {}
     for file in {*PAGES, *sources()} - {Path(__file__)}:
-        for found in set(OWN_FILE.findall(read(file))) - TO_BE_WRITTEN:
-            if not any(ROOT.glob(found)) and not (file.parent / found).exists():
-                missing.setdefault(name(file), []).append(found)
+        for mention in set(OWN_FILE.findall(read(file))) - TO_BE_WRITTEN:
+            if not any(ROOT.glob(mention)) and not (file.parent / mention).exists():
+                missing.setdefault(name(file), []).append(mention)
     assert missing == {}
 
 
@@ -165,7 +165,7 @@ def options_of_bench(file: Path) -> set[str]:
 
 
 def problem_of_bench(line: str) -> str | None:
-    """What a bench would not take of ``python -m benches.... words``."""
+    """Return the reason why a bench refuses ``python -m benches.... words``, or None."""
     module, *words = re.sub(r"[][]", " ", line).split()
     file = ROOT / (module.replace(".", "/") + ".py")
     if not file.is_file():
@@ -175,7 +175,7 @@ def problem_of_bench(line: str) -> str | None:
 
 
 def problem(line: str) -> str | None:
-    """What the command line would not take of ``line``; values of options are not looked at."""
+    """Return the reason why the command line refuses ``line``; values of options are not checked."""
     words = shlex.split(line, comments=True)[1:]
     command, path = COMMANDS, "slgaussian"
     while hasattr(command, "commands") and words:

@@ -34,9 +34,9 @@ def test_depth_of_the_motorcycle_pair():
 
     OpenCV's semi-global matcher has 17.9 % bad pixels.
     """
-    found = score_floors.motorcycle(seed=0)
-    assert found["bad2"] < 0.068
-    assert found["abs_rel"] < 0.0187
+    scores = score_floors.motorcycle(seed=0)
+    assert scores["bad2"] < 0.068
+    assert scores["abs_rel"] < 0.0187
 
 
 def having(folder: Path, name: str) -> Path:

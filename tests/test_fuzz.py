@@ -13,7 +13,7 @@ def test_a_damaged_file_is_read_or_named(name, tmp_path, recwarn):
     folder.mkdir()
     FORMATS[name].make(folder)
     FORMATS[name].read(folder)
-    found = [verdict(name, number, SEED, folder) for number in range(COUNT)]
-    assert [said for kind, said in found if kind not in ("accepted", "refused")] == []
-    assert "refused" in {kind for kind, _ in found}
+    verdicts = [verdict(name, number, SEED, folder) for number in range(COUNT)]
+    assert [message for kind, message in verdicts if kind not in ("accepted", "refused")] == []
+    assert "refused" in {kind for kind, _ in verdicts}
     FORMATS[name].read(folder)  # whole again

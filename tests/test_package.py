@@ -1,4 +1,4 @@
-"""What importing the library may and may not do."""
+"""Side effects of importing the library."""
 
 import subprocess
 import sys

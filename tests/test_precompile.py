@@ -1,4 +1,4 @@
-"""What a second process compiles ahead is what the first one needs later."""
+"""Kernels that a second process compiles ahead are those that the first one needs."""
 
 import os
 import subprocess

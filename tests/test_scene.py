@@ -41,8 +41,8 @@ def test_the_top_left_pixel_centre_is_at_one_half():
 @given(st.floats(-3, 3), st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 50))
 def test_unproject_inverts_project(yaw, x, z, depth):
     cam = camera(x=x, z=z, yaw=yaw)
-    pixels, seen = cam.project(cam.unproject(np.full((24, 32), depth)))
-    np.testing.assert_allclose(seen, depth, rtol=1e-9)
+    pixels, in_front = cam.project(cam.unproject(np.full((24, 32), depth)))
+    np.testing.assert_allclose(in_front, depth, rtol=1e-9)
     np.testing.assert_allclose(pixels[5, 7], (7.5, 5.5), atol=1e-7)
 
 
@@ -88,12 +88,12 @@ def test_resized_truths_are_those_of_pixels_and_no_mixtures(size):
     left = np.arange(32) < 13
     ids = np.where(left, 2, 90).astype(np.int32)[None].repeat(24, 0)
     depth = np.where(left, 1.0, 5.0).astype(np.float32)[None].repeat(24, 0)
-    found = replace(full, instances=ids, depth=depth).resized(*size)
-    assert found.instances.shape == found.depth.shape == size
-    assert set(np.unique(found.instances)) == {2, 90}
-    np.testing.assert_array_equal(found.depth, np.where(found.instances == 2, 1.0, 5.0))
+    resized = replace(full, instances=ids, depth=depth).resized(*size)
+    assert resized.instances.shape == resized.depth.shape == size
+    assert set(np.unique(resized.instances)) == {2, 90}
+    np.testing.assert_array_equal(resized.depth, np.where(resized.instances == 2, 1.0, 5.0))
     # The border stays where it was, to a pixel.
-    assert abs((found.instances[0] == 2).sum() - 13 / 32 * size[1]) <= 1
+    assert abs((resized.instances[0] == 2).sum() - 13 / 32 * size[1]) <= 1
 
 
 @pytest.mark.parametrize(
@@ -145,8 +145,8 @@ def test_a_view_named_twice_is_refused_in_those_words():
 def test_large_photographs_are_shrunk_and_small_ones_left_alone():
     cams = {"big": camera(2000, 3000, 2500.0), "big2": camera(2000, 3000, 2500.0, x=1)}
     scene = Scene("s", cams, lambda name: view(name, cams[name]))
-    seen = scene.sample(["big", "big2"]).context[0]
-    height, width = seen.image.shape[:2]
+    shrunk = scene.sample(["big", "big2"]).context[0]
+    height, width = shrunk.image.shape[:2]
     assert height * width == pytest.approx(PAPER_PIXELS, rel=0.01)
     assert height / width == pytest.approx(1.5, abs=0.01)
     assert scene.sample(["big", "big2"], size="original").context[0].image.shape[0] == 3000

@@ -1,4 +1,4 @@
-"""What ``docs/guides/security.md`` promises and damaged files alone do not show."""
+"""Promises of ``docs/guides/security.md`` that the tests of damaged files do not cover."""
 
 import ast
 import io
@@ -59,8 +59,8 @@ def huge_png(width: int = 30_000, height: int = 30_000) -> bytes:
     out = b"\x89PNG\r\n\x1a\n"
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     for kind, content in ((b"IHDR", head), (b"IDAT", zlib.compress(b"")), (b"IEND", b"")):
-        whole = kind + content
-        out += struct.pack(">I", len(content)) + whole + struct.pack(">I", zlib.crc32(whole))
+        chunk = kind + content
+        out += struct.pack(">I", len(content)) + chunk + struct.pack(">I", zlib.crc32(chunk))
     return out
 
 
@@ -143,9 +143,9 @@ class TestLargeImages:
         file.parent.mkdir()
         file.write_bytes(huge_png(*size))
         (tmp_path / "classes.txt").write_text("cup\n")
-        said = r"cup\.png: .*it has .* pixels"
+        pattern = r"cup\.png: .*it has .* pixels"
         for read in (open_photograph, read_ids, lambda _: read_labels(tmp_path, "0", 8, 8)):
-            with pytest.raises(InputError, match=said):
+            with pytest.raises(InputError, match=pattern):
                 read(file)
         assert stored_size(file) is None
 
@@ -269,8 +269,8 @@ class TestNames:
 
 
 def test_what_a_terminal_would_obey_is_escaped_in_errors():
-    said = str(InputError(f"a\x1b[2J\nb\x9b {'x' * 5000} /{'y' * 255} \ud800"))
-    assert said == f"a\\x1b[2J\\nb\\x9b {'x' * 100}… /{'y' * 255} \\ud800"
+    message = str(InputError(f"a\x1b[2J\nb\x9b {'x' * 5000} /{'y' * 255} \ud800"))
+    assert message == f"a\\x1b[2J\\nb\\x9b {'x' * 100}… /{'y' * 255} \\ud800"
 
 
 @pytest.mark.parametrize(

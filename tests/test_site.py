@@ -39,4 +39,4 @@ def test_every_page_is_there(site):
 
 def test_pages_load_nothing_from_elsewhere(site):
     pages = [page.read_text("utf-8") for page in site.rglob("*.html")]
-    assert [found for page in pages for found in LOADED.findall(page)] == []
+    assert [address for page in pages for address in LOADED.findall(page)] == []

@@ -43,10 +43,15 @@ class Room:
         self, truth: Mapping | None = None, boxes: Mapping | None = None, **settings: Any
     ) -> SceneResult:
         """Ask the field what its own truth knows, or another one."""
-        known = Truth(self.truth if truth is None else truth, boxes or {})
-        asked = EvaluationSettings(**settings)
+        frame_truth = Truth(self.truth if truth is None else truth, boxes or {})
+        evaluation = EvaluationSettings(**settings)
         return evaluate(
-            self.field, self.sample, self.label_maps, known, asked, gaussians=self.gaussians
+            self.field,
+            self.sample,
+            self.label_maps,
+            frame_truth,
+            evaluation,
+            gaussians=self.gaussians,
         )
 
 
@@ -68,6 +73,6 @@ def result(room) -> SceneResult:
 
 
 @pytest.fixture(scope="session")
-def known(room) -> SceneResult:
-    """What the field answers when it is asked for the things that the room shows."""
+def answered(room) -> SceneResult:
+    """Scores of the field's answers to all labelled queries of the room."""
     return room.evaluate()

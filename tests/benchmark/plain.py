@@ -59,16 +59,16 @@ def langsplat(relevancy, side):
 
 
 def scores(protocol, frame, k):
-    """What ``protocol`` says of query ``k`` of a frame."""
+    """Score query ``k`` of a frame by ``protocol``, in plain loops."""
     answer, truth, boxes = frame.answers[k], frame.masks[k], frame.boxes[k]
     region, point, mask = frame.labels == k + 1, answer.point, answer.mask
     if protocol == "3d-ovs":
         bits = np.stack(frame.masks)
-        told = np.stack([frame.labels == j + 1 for j in range(len(bits))])
-        right = (bits == told).all(0) & told.any(0)
+        labelled = np.stack([frame.labels == j + 1 for j in range(len(bits))])
+        right = (bits == labelled).all(0) & labelled.any(0)
         overlap = {"class_iou": iou(region, truth), "boundary_iou": boundary_iou(region, truth)}
         return {**overlap, "accuracy": right.mean()}
-    found = {}
+    result = {}
     if protocol == "highest-pixel":
         best, (h, w) = answer.relevancy.max(), truth.shape
         pixels = [(x, y) for y in range(h) for x in range(w)]
@@ -78,11 +78,11 @@ def scores(protocol, frame, k):
         side = 30 if protocol == "langsplat" else round(30 * truth.shape[1] / 988)
         mask, peak, point = langsplat(answer.relevancy, side)
     if protocol == "slgaussian":
-        found["class_iou"] = iou(region, truth)
+        result["class_iou"] = iou(region, truth)
     else:
-        found["hit_peak"] = inside_boxes(peak, boxes)
+        result["hit_peak"] = inside_boxes(peak, boxes)
     if protocol != "highest-pixel":
-        found |= {"iou": iou(mask, truth), "boundary_iou": boundary_iou(mask, truth)}
+        result |= {"iou": iou(mask, truth), "boundary_iou": boundary_iou(mask, truth)}
     if not protocol.startswith("langsplat"):
-        found["hit_mask"] = point is not None and bool(truth[point[1], point[0]])
-    return found | {"hit_box": point is not None and inside_boxes([point], boxes)}
+        result["hit_mask"] = point is not None and bool(truth[point[1], point[0]])
+    return result | {"hit_box": point is not None and inside_boxes([point], boxes)}

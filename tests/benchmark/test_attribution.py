@@ -52,20 +52,20 @@ def exact(room):
 def rows_of(room, field, **settings):
     """The rows of the attribution, by query."""
     gaussians = room.gaussians if field is room.field else field.gaussians
-    asked = EvaluationSettings(**settings)
-    rows = attribute_errors(field, gaussians, room.sample, Truth(room.truth), asked)
+    evaluation = EvaluationSettings(**settings)
+    rows = attribute_errors(field, gaussians, room.sample, Truth(room.truth), evaluation)
     return {row["query"]: row for row in rows}
 
 
 @pytest.fixture(scope="module")
 def thing(room):
     """The largest thing that lies well inside the target, and what lies around it: their ids."""
-    shown = room.sample.targets[0].instances
-    inner = shown[4:-4, 4:-4]
-    areas = {k: (inner == k).sum() for k in room.sample.phrases if (shown == k).sum()}
+    instances = room.sample.targets[0].instances
+    inner = instances[4:-4, 4:-4]
+    areas = {k: (inner == k).sum() for k in room.sample.phrases if (instances == k).sum()}
     phrases = list(room.sample.phrases.values())
     largest = max(
-        (k for k in areas if areas[k] == (shown == k).sum()),
+        (k for k in areas if areas[k] == (instances == k).sum()),
         key=lambda k: areas[k] * (phrases.count(room.sample.phrases[k]) == 1),
     )
     ids, counts = np.unique(room.label_maps.labels, return_counts=True)
@@ -179,13 +179,13 @@ def test_whole_things_are_as_many_as_the_truth_has_parts():
     bank = MemoryBank(numbers, codes, unit, np.ones((4, 1), bool))
     levels = np.array([[4, 4, 4, 3]], np.int32)
     grouped = replace(bank, levels=levels, group_features=unit[:1])
-    seen = ObjectMap(ids, numbers)
+    object_map = ObjectMap(ids, numbers)
     sofa, both = (ids > 0) & (ids < 4), ids > 0
     both[0, 20] = True  # a crumb
-    assert attribution.best_objects(seen, bank, sofa).sum() == 1
-    assert attribution.best_objects(seen, grouped, sofa).tolist() == [True, True, True, False]
-    assert attribution.best_objects(seen, grouped, both).all()
-    assert not attribution.best_objects(seen, grouped, ids == 0)[3]
+    assert attribution.best_objects(object_map, bank, sofa).sum() == 1
+    assert attribution.best_objects(object_map, grouped, sofa).tolist() == [True, True, True, False]
+    assert attribution.best_objects(object_map, grouped, both).all()
+    assert not attribution.best_objects(object_map, grouped, ids == 0)[3]
 
 
 def test_verdicts_follow_the_order_of_the_stages():

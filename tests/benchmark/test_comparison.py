@@ -51,8 +51,8 @@ def test_a_run_and_itself_differ_in_nothing(tmp_path, first, result):
     counts, sections = compared(first, leave(tmp_path / "b", result))
     every = str(len(result.rows))
     assert counts == [["1", "1", every, every, "0"]] * 2
-    table, more = sections["Differences"]
-    for gains in (table, *more.blocks):
+    table, extra = sections["Differences"]
+    for gains in (table, *extra.blocks):
         assert {float(cell.value) for row in gains.rows for cell in row[1:]} == {0.0}
 
 

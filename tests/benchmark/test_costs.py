@@ -1,4 +1,4 @@
-"""What methods cost: medians and peaks of the rows of `times`."""
+"""Costs of methods: medians and peaks of the rows of `times`."""
 
 from slgaussian.benchmark.costs import Cost, costs_of
 from slgaussian.storage.specs import load_spec

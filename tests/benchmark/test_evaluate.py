@@ -31,10 +31,10 @@ def row_of(result, query, protocol="slgaussian"):
 
 
 def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, result):
-    known = [*room.truth["view_01"], "qqwx"]
-    assert [row["query"] for row in rows_of(result)] == [*known, "red sofa", "grey floor"]
+    texts = [*room.truth["view_01"], "qqwx"]
+    assert [row["query"] for row in rows_of(result)] == [*texts, "red sofa", "grey floor"]
     for protocol in ("langsplat", "langsplat-rescaled", "3d-ovs"):
-        assert [row["query"] for row in rows_of(result, protocol)] == known
+        assert [row["query"] for row in rows_of(result, protocol)] == texts
     columns = load_spec("samples").columns
     for row in result.rows:
         assert list(row) == list(columns)
@@ -44,10 +44,10 @@ def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, r
 def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
     view = room.field.render(room.sample.targets[0].camera)
     for query, mask in room.truth["view_01"].items():
-        row, found = row_of(result, query), result.predictions["slgaussian@2", "view_01", query]
+        row, predicted = row_of(result, query), result.predictions["slgaussian@2", "view_01", query]
         hit = view.query(query)
-        assert np.array_equal(found, hit.mask)
-        assert row["iou"] == metrics.iou(found, mask)
+        assert np.array_equal(predicted, hit.mask)
+        assert row["iou"] == metrics.iou(predicted, mask)
         assert row["hit_mask"] == mask[hit.point[1], hit.point[0]]
         assert (row["point_x"], row["point_y"], row["score"]) == (*hit.point, hit.score)
         # The box of a mask holds the mask.
@@ -78,13 +78,13 @@ def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
 
 
 def test_annotated_boxes_take_the_place_of_the_masks_own(room):
-    whole, nowhere = np.array([[0.0, 0, 143, 103]]), np.zeros((0, 4))
-    first, *others = room.truth["view_01"]
-    boxes = {"view_01": {first: nowhere} | dict.fromkeys(others, whole)}
+    everywhere, nowhere = np.array([[0.0, 0, 143, 103]]), np.zeros((0, 4))
+    first, *rest = room.truth["view_01"]
+    boxes = {"view_01": {first: nowhere} | dict.fromkeys(rest, everywhere)}
     result = room.evaluate(boxes=boxes)
     for protocol, column in (("slgaussian", "hit_box"), ("langsplat", "hit_peak")):
         hits = [row[column] for row in rows_of(result, protocol)]
-        assert hits == [False] + [True] * len(others)
+        assert hits == [False] + [True] * len(rest)
 
 
 def test_every_row_says_how_its_mask_was_made(room, result):
@@ -136,8 +136,8 @@ def test_depth_is_judged_where_the_truth_is_known(room, result):
 
 def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(room):
     target = room.sample.targets[0]
-    seen = np.unique(target.instances)
-    one, two = seen[seen > 0][:2]
+    ids = np.unique(target.instances)
+    one, two = ids[ids > 0][:2]
     phrases = {int(one): "ball", int(two): "ball", 999: "ghost"}
     sample = Sample("s", room.sample.context, (target,), phrases)
     truth = truth_from_instances(sample).masks
@@ -145,16 +145,16 @@ def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(roo
     assert np.array_equal(truth["view_01"]["ball"], np.isin(target.instances, [one, two]))
 
 
-def test_the_first_protocol_leads(room, known):
+def test_the_first_protocol_leads(room, answered):
     """It decides what is drawn, and the scene's metrics, and no score."""
     led = room.evaluate(protocols=["langsplat", "slgaussian", "3d-ovs"])
     assert led.rows[0]["protocol"] == "langsplat@2"
     assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in rows_of(led, "langsplat")])
     assert "hit_peak" in led.scene_metrics and "hit_mask" not in led.scene_metrics
     for protocol in ("slgaussian", "langsplat", "3d-ovs"):
-        assert rows_of(led, protocol) == rows_of(known, protocol)
+        assert rows_of(led, protocol) == rows_of(answered, protocol)
     name = f"mask/view_01/{next(iter(room.truth['view_01']))}"
-    assert not np.array_equal(led.pictures[name], known.pictures[name])
+    assert not np.array_equal(led.pictures[name], answered.pictures[name])
     with pytest.raises(InputError, match="protocol: found 'lerf', expected one of slgaussian, "):
         room.evaluate(protocols=["lerf"])
 
@@ -203,25 +203,25 @@ class Watched:
         )
 
 
-def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, known, monkeypatch):
+def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, answered, monkeypatch):
     method, other = Watched(room.field), replace(room.sample.targets[0], name="other")
     monkeypatch.setattr("slgaussian.benchmark.evaluate.compiling.clock", lambda: method.now)
     sample = replace(room.sample, targets=(*room.sample.targets, other))
     masks = room.truth["view_01"] | {"qqwx": next(iter(room.truth["view_01"].values()))}
     truth = Truth({"view_01": room.truth["view_01"], "other": masks})
-    found = evaluate(method, sample, room.label_maps, truth)
+    result = evaluate(method, sample, room.label_maps, truth)
     # An untimed answer; two targets, whose first text is asked alone to time it; then three views
     # along the way.
     untimed, target = ["render", "query"], ["render", "query", "query", "segment"]
     assert method.asked == [*untimed, *target, *target, *["render"] * 3]
-    assert [row for row in found.rows if row["frame"] == "view_01"] == known.rows
+    assert [row for row in result.rows if row["frame"] == "view_01"] == answered.rows
     # A method that does not know depths is not judged by them, and none are drawn without any.
-    assert not {"target_abs_rel", "abs_rel", "near"} & set(found.scene_metrics)
-    assert not any(name.startswith("depth/") for name in found.pictures)
+    assert not {"target_abs_rel", "abs_rel", "near"} & set(result.scene_metrics)
+    assert not any(name.startswith("depth/") for name in result.pictures)
     # 100 to draw a view, 1 a text, and 1000 once, which no answer includes.
     names = {"dataset": "scenes", "scene": room.sample.scene, "method": "slgaussian"}
     seconds = {text: None if text == "qqwx" else 1 for text in masks}
-    assert [{**row, "peak_bytes": 0} for row in found.costs] == [
+    assert [{**row, "peak_bytes": 0} for row in result.costs] == [
         {
             **names,
             "frame": frame,
@@ -234,7 +234,7 @@ def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, kno
         for text in texts
     ]
     bare = evaluate(method, sample, room.label_maps, truth, EvaluationSettings(drawn=False))
-    assert bare.rows == found.rows and bare.pictures == {}
+    assert bare.rows == result.rows and bare.pictures == {}
 
 
 @pytest.mark.parametrize(
@@ -259,9 +259,9 @@ def test_hard_truths_are_scored_without_nan(room):
     one[50, 70] = corner[0, 0] = True
     masks = {"red crate": one, "grey floor": one | True, "blue sofa": one & False, "zzgl": corner}
     masks["red qqwx"] = masks["blue sofa"]
-    found = room.evaluate({"view_01": masks})
-    numbers = [value for row in found.rows for value in row.values() if isinstance(value, float)]
-    assert numbers and np.isfinite([*numbers, *found.scene_metrics.values()]).all()
-    assert row_of(found, "red qqwx")["note"] == f"unknown: qqwx; {ABSENT}"
+    result = room.evaluate({"view_01": masks})
+    numbers = [value for row in result.rows for value in row.values() if isinstance(value, float)]
+    assert numbers and np.isfinite([*numbers, *result.scene_metrics.values()]).all()
+    assert row_of(result, "red qqwx")["note"] == f"unknown: qqwx; {ABSENT}"
     # Two masks overlap in a pixel, which then is no single class; nothing else can be right.
-    assert row_of(found, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size
+    assert row_of(result, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size

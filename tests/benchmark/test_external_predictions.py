@@ -29,13 +29,13 @@ OF_MASKS = ("iou", "boundary_iou", "class_iou", "accuracy", "height", "width")
 
 @pytest.fixture(scope="module")
 def judged(room, result):
-    """What the rooms' fixture asked, but for the text that was asked without truth."""
+    """The scene of the rooms' fixture, without the query that has no ground truth."""
     return JudgedScene(result.scene, result.dataset, "a place", Truth(room.strange_truth))
 
 
 @pytest.fixture
 def folder(tmp_path, result):
-    """What a benchmark leaves of it."""
+    """Output folder of a benchmark of that scene."""
     masks = {key: encode_png(mask) for key, mask in result.predictions.items()}
     write_predictions(result.rows, masks, tmp_path / "run" / "predictions")
     return tmp_path / "run"
@@ -80,11 +80,13 @@ def by_key(rows):
 
 
 def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
-    again, predictions = scored(folder, judged)
+    rescored, predictions = scored(folder, judged)
     assert predictions.methods == {"slgaussian": tuple(sorted(SCORABLE))}
-    rows, theirs = by_key(again.rows), by_key(result.rows)
-    known = {key for key in theirs if key[1] == "view_01" and key[0].partition("@")[0] in SCORABLE}
-    assert rows.keys() == known
+    rows, theirs = by_key(rescored.rows), by_key(result.rows)
+    scorable = {
+        key for key in theirs if key[1] == "view_01" and key[0].partition("@")[0] in SCORABLE
+    }
+    assert rows.keys() == scorable
     for key, row in rows.items():
         assert list(row) == list(load_spec("samples").columns)
         assert [row[name] for name in OF_MASKS] == [theirs[key][name] for name in OF_MASKS]
@@ -92,14 +94,16 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
         assert row["score"] is row["point_x"] is row["hit_mask"] is row["hit_peak"] is None
         assert row["selection"] == "given" and row["temperature"] is None
         assert row["place"] == "a place"
-    assert any(row["accuracy"] for row in again.rows) and any(r["class_iou"] for r in again.rows)
+    assert any(row["accuracy"] for row in rescored.rows) and any(
+        r["class_iou"] for r in rescored.rows
+    )
     assert rows["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
     unused = predictions.unused
     assert unused and all(" in halfway of " in name for name in unused)
-    for key, mask in again.predictions.items():
+    for key, mask in rescored.predictions.items():
         assert np.array_equal(mask, result.predictions[key])
     assert predictions.missing == []
-    assert again.scene_metrics["iou"] == result.scene_metrics["iou"]
+    assert rescored.scene_metrics["iou"] == result.scene_metrics["iou"]
 
 
 def test_methods_are_scored_by_the_protocols_of_their_masks(folder, judged):
@@ -116,9 +120,9 @@ def test_methods_are_scored_by_the_protocols_of_their_masks(folder, judged):
 @pytest.mark.parametrize("text", [True, False])
 def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, judged, text):
     file = write(tmp_path / "mine.json", entries_of(result, text=text))
-    again, predictions = scored(file, judged, "slgaussian")
-    rows, theirs = by_key(again.rows), by_key(result.rows)
-    assert again.method == "mine" and predictions.methods == {"mine": ()}
+    rescored, predictions = scored(file, judged, "slgaussian")
+    rows, theirs = by_key(rescored.rows), by_key(result.rows)
+    assert rescored.method == "mine" and predictions.methods == {"mine": ()}
     assert len(rows) == len(judged.truth.masks["view_01"])
     for key, row in rows.items():
         names = ["iou", "boundary_iou", "point_x", "point_y"]
@@ -133,13 +137,13 @@ def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, 
 def test_texts_compete_by_masks_that_do_not_overlap(tmp_path, result, judged):
     entries = [{**entry, "method": "ours"} for entry in entries_of(result, "3d-ovs@2")]
     file = write(tmp_path / "own.json", entries)
-    again, _ = scored(file, judged, "slgaussian", "3d-ovs")
+    rescored, _ = scored(file, judged, "slgaussian", "3d-ovs")
     theirs = by_key(result.rows)
-    for (protocol, *rest), row in by_key(again.rows).items():
+    for (protocol, *rest), row in by_key(rescored.rows).items():
         assert row["class_iou"] == theirs["slgaussian@2", *rest]["class_iou"]
         if protocol == "3d-ovs@2":
             assert row["accuracy"] == theirs[protocol, *rest]["accuracy"] > 0
-    assert again.method == "ours"
+    assert rescored.method == "ours"
     entries[-1]["counts"] = encode(np.ones((104, 144), bool))
     write(file, entries)
     with pytest.raises(InputError, match=r"own\.json: \[\d+\], .* overlaps the mask of '"):
@@ -152,14 +156,14 @@ def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judg
     for text in (query, "red sofa"):  # of the second there is no truth: no sample
         row = {**result.rows[0], "query": text, "protocol": "slgaussian@2"}
         (folder / "predictions" / mask_path(row)).unlink()
-    again, predictions = scored(folder, judged, "slgaussian")
-    rows = by_key(again.rows)
+    rescored, predictions = scored(folder, judged, "slgaussian")
+    rows = by_key(rescored.rows)
     row = rows["slgaussian@2", "view_01", query]
     assert (row["iou"], row["note"]) == (0, NOT_GIVEN)
     assert rows["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
     assert predictions.samples == sum(m.any() for m in judged.truth.masks["view_01"].values())
     assert predictions.missing == [f"{query!r} in view_01 of {judged.scene}"]
-    assert ("slgaussian@2", "view_01", query) not in again.predictions
+    assert ("slgaussian@2", "view_01", query) not in rescored.predictions
 
 
 def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judged):
@@ -173,14 +177,14 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
     for path, mask in ((plain, query), (safe, other)):
         path.parent.mkdir(parents=True)
         Image.fromarray(mask).save(path)
-    again, predictions = scored(tmp_path / "p", scene)
-    assert [row["iou"] for row in again.rows] == [1, 1] and not predictions.missing
-    assert again.method == "My method!" and not predictions.unused
+    rescored, predictions = scored(tmp_path / "p", scene)
+    assert [row["iou"] for row in rescored.rows] == [1, 1] and not predictions.missing
+    assert rescored.method == "My method!" and not predictions.unused
     entry = {"scene": scene.scene, "query": "café", "size": [104, 144], "counts": encode(query)}
     for frame in ("left/view_01.jpg", "left/view_01", "view_01"):
         file = write(tmp_path / "m.json", [{**entry, "frame": frame}])
-        again, predictions = scored(file, scene)
-        assert [row["iou"] for row in again.rows] == [1, 0] and len(predictions.missing) == 1
+        rescored, predictions = scored(file, scene)
+        assert [row["iou"] for row in rescored.rows] == [1, 0] and len(predictions.missing) == 1
 
 
 @pytest.mark.parametrize(

@@ -98,10 +98,10 @@ def test_a_mask_lands_where_the_image_lands(tmp_path_factory, width, height):
 
 def test_a_category_that_is_cropped_away_or_unlabelled_has_an_empty_mask(tmp_path):
     write(tmp_path, thing(), thing("edge", [[0, 0], [1, 0], [1, 23], [0, 23]], (0, 0, 1, 23)))
-    asked = ["edge", "red crate", "ghost"]
-    truth = read_truth(tmp_path, asked, [view_of().resized(24, 24)])
-    shown = {category: bool(mask.any()) for category, mask in truth.masks[NAME].items()}
-    assert list(shown.items()) == [("edge", False), ("red crate", True), ("ghost", False)]
+    categories = ["edge", "red crate", "ghost"]
+    truth = read_truth(tmp_path, categories, [view_of().resized(24, 24)])
+    is_visible = {category: bool(mask.any()) for category, mask in truth.masks[NAME].items()}
+    assert list(is_visible.items()) == [("edge", False), ("red crate", True), ("ghost", False)]
     assert truth.boxes[NAME]["ghost"].shape == (0, 4)
 
 

@@ -66,9 +66,9 @@ def test_depth_errors_are_those_of_a_plain_loop(predicted, truth, scale):
         "delta125": [d > 0 and max(d / t, t / d) < 1.25 for d, t in pairs],
         "bad2": [d == 0 or abs(scale / d - scale / t) > 2 for d, t in pairs],
     }
-    found = metrics.depth_errors(predicted, truth, scale)
+    actual = metrics.depth_errors(predicted, truth, scale)
     means = {name: np.mean(values) for name, values in expected.items() if values}
-    assert found == pytest.approx(means, abs=1e-12)
+    assert actual == pytest.approx(means, abs=1e-12)
     assert "bad2" not in metrics.depth_errors(predicted, truth)
 
 

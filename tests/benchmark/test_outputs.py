@@ -30,8 +30,8 @@ def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
     for (protocol, frame, query), mask in result.predictions.items():
         folder = tmp_path / "slgaussian" / protocol.removesuffix("@2") / result.scene / frame
         path = folder / f"{query}.png"
-        asked = {"protocol": protocol, "frame": frame, "query": query}
-        assert tmp_path / mask_path({**result.rows[0], **asked}) == path
+        metadata = {"protocol": protocol, "frame": frame, "query": query}
+        assert tmp_path / mask_path({**result.rows[0], **metadata}) == path
         assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
 
 
@@ -48,14 +48,14 @@ def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
         file.write_text("mine")
     emptied = tmp_path / "predictions" / "third" / "slgaussian"
     emptied.mkdir(parents=True)  # the user deleted what was in it
-    few = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
-    clear_predictions(few, tmp_path)
-    left = {tmp_path / "predictions" / mask_path(row) for row in few} & before
+    of_one_query = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
+    clear_predictions(of_one_query, tmp_path)
+    left = {tmp_path / "predictions" / mask_path(row) for row in of_one_query} & before
     assert left and set(tmp_path.rglob("*.png")) == left | {foreign} and notes.exists()
     assert not (tmp_path / "predictions" / "other" / "slgaussian").exists()
     assert not emptied.parent.exists()
     # Again, or without a table of samples, nothing happens.
-    clear_predictions(few, tmp_path)
+    clear_predictions(of_one_query, tmp_path)
     for table in (b"no table", None):
         samples = tmp_path / "samples.parquet"
         samples.unlink() if table is None else samples.write_bytes(table)

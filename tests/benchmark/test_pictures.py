@@ -17,11 +17,11 @@ def photo() -> np.ndarray:
 
 def test_colours_of_a_typical_scene_are_told_apart():
     lab = rgb2lab(pictures.label_colors(np.arange(1, 25))[None] / 255)[0]
-    apart = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
+    distances = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
     # A CIELAB difference of about 2.3 is just noticed; these are six times that apart.
-    assert apart[~np.eye(len(lab), dtype=bool)].min() > 14
+    assert distances[~np.eye(len(lab), dtype=bool)].min() > 14
     # The next id, often the neighbour in the image, differs much more.
-    assert np.diagonal(apart, 1).min() > 40
+    assert np.diagonal(distances, 1).min() > 40
 
 
 @given(st.lists(st.floats(0.5, 20), min_size=2, max_size=8, unique=True))

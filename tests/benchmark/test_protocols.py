@@ -24,15 +24,15 @@ def scored(name, frame, rules=None):
 def check(frame):
     """All scores of all queries are the plain ones."""
     for name in PROTOCOLS:
-        for k, found in enumerate(scored(name, frame)):
+        for k, item in enumerate(scored(name, frame)):
             if not frame.masks[k].any():
-                assert found.scores == {}
+                assert item.scores == {}
                 continue
             expected = plain.scores(name, frame, k)
-            assert set(found.scores) == set(expected)
+            assert set(item.scores) == set(expected)
             for key, value in expected.items():
-                assert found.scores[key] == pytest.approx(value, abs=NEAR), key
-                assert 0 <= found.scores[key] <= 1
+                assert item.scores[key] == pytest.approx(value, abs=NEAR), key
+                assert 0 <= item.scores[key] <= 1
 
 
 def box_of(mask):
@@ -86,8 +86,8 @@ POLYGONS = {
 
 @pytest.mark.parametrize("name", POLYGONS)
 def test_scores_of_drawn_polygons_are_the_plain_ones(name):
-    others = {"a triangle", "a star"} - {name}
-    check(frame_of([drawn(POLYGONS[n]) for n in (name, *sorted(others))], seed=0))
+    rest = {"a triangle", "a star"} - {name}
+    check(frame_of([drawn(POLYGONS[n]) for n in (name, *sorted(rest))], seed=0))
 
 
 POINTS = st.tuples(st.integers(-30, 100), st.integers(-30, 80))
@@ -105,8 +105,8 @@ def score_one(name, relevancy, truth, mask=None, point=None):
     """Score one answer."""
     mask = relevancy > 0.5 if mask is None else mask
     frame = Frame([Answer(relevancy, mask, point)], [truth], [box_of(truth)], mask.astype(np.int32))
-    (found,) = scored(name, frame)
-    return found
+    (actual,) = scored(name, frame)
+    return actual
 
 
 def square(value=0.9, rest=0.1):
@@ -135,9 +135,9 @@ def test_the_paper_scores_what_the_method_selects_and_says_by_which_rule():
     relevancy, truth = square()
     half = truth.copy()
     half[:, :135] = False
-    found = score_one("slgaussian", relevancy, truth, half, (134, 90))
-    assert found.scores["iou"] == 0.5 and found.mask is half and found.point == (134, 90)
-    assert found.scores["hit_mask"] is True
+    actual = score_one("slgaussian", relevancy, truth, half, (134, 90))
+    assert actual.scores["iou"] == 0.5 and actual.mask is half and actual.point == (134, 90)
+    assert actual.scores["hit_mask"] is True
 
 
 def test_a_class_that_the_frame_does_not_show_still_competes():
@@ -146,10 +146,10 @@ def test_a_class_that_the_frame_does_not_show_still_competes():
     labels[:, :9] = 2
     answer = Answer(np.full(SHAPE, 0.5, np.float32), nothing, (3, 3))
     boxes = [box_of(truth), box_of(nothing)]
-    shown, absent = scored("3d-ovs", Frame([answer] * 2, [truth, nothing], boxes, labels))
-    assert absent.scores == {} and absent.mask[:, :9].all() and shown.point is None
+    present, absent = scored("3d-ovs", Frame([answer] * 2, [truth, nothing], boxes, labels))
+    assert absent.scores == {} and absent.mask[:, :9].all() and present.point is None
     # Its wins are errors; and so is all of the unlabelled half.
-    assert shown.scores["accuracy"] == shown.scores["class_iou"] == 27 / 72
+    assert present.scores["accuracy"] == present.scores["class_iou"] == 27 / 72
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])

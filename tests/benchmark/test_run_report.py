@@ -48,8 +48,8 @@ def both(result, truth) -> Report:
 
 
 def test_the_same_results_give_the_same_bytes(both, result, truth):
-    again = make_report(result, truth)
-    assert (again.as_html(), again.as_markdown()) == (both.as_html(), both.as_markdown())
+    repeated = make_report(result, truth)
+    assert (repeated.as_html(), repeated.as_markdown()) == (both.as_html(), both.as_markdown())
 
 
 def leading(result):

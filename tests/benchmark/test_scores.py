@@ -1,4 +1,4 @@
-"""What samples amount to: means as LangSplat and 3D-OVS take them, and how far to trust them."""
+"""Scores from samples: means as defined by LangSplat and 3D-OVS, and their intervals."""
 
 import numpy as np
 import pytest
@@ -31,8 +31,8 @@ def score(rows, metric="iou"):
 
 
 def difference(rows, baseline):
-    (found,) = differences(rows, baseline)
-    return found
+    (actual,) = differences(rows, baseline)
+    return actual
 
 
 def test_every_scene_has_one_weight_whatever_its_samples():
@@ -55,12 +55,12 @@ def test_miou_is_the_mean_over_frames_of_the_mean_over_classes():
 
 
 def test_one_scene_has_no_interval_and_few_have_a_rough_one():
-    one = score(ious(a=[0.1, 0.9]))
-    assert one["low"] is one["high"] is None and one["note"] == ONE_PLACE
+    one_scene = score(ious(a=[0.1, 0.9]))
+    assert one_scene["low"] is one_scene["high"] is None and one_scene["note"] == ONE_PLACE
     rows = [row | {"place": "one"} for row in ious(a=[0.1], b=[0.9])]
     assert score(rows)["low"] is None and score(rows)["note"] == ONE_PLACE
-    few = score(ious(a=[0.1], b=[0.9]))
-    assert (few["low"], few["high"], few["note"]) == (0.1, 0.9, FEW_PLACES)
+    two_scenes = score(ious(a=[0.1], b=[0.9]))
+    assert (two_scenes["low"], two_scenes["high"], two_scenes["note"]) == (0.1, 0.9, FEW_PLACES)
     row = score(ious(**{f"s{k}": [k / 10] for k in range(MIN_SAMPLES)}))
     assert row["note"] == "" and row["low"] < row["value"] < row["high"]
     assert row["level"] == CONFIDENCE_LEVEL
@@ -91,9 +91,9 @@ def test_every_scene_of_a_drawn_place_counts_alike():
 def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
     table = score_table(result.rows)
     load_spec("scores").check_table(table, "scores")
-    found = {}
+    actual = {}
     for row in table.to_pylist():
-        found.setdefault(row["protocol"], []).append(row["metric"])
+        actual.setdefault(row["protocol"], []).append(row["metric"])
         assert row["scenes"] == 1 and row["note"] == ONE_PLACE
         assert row["filter"] == {"langsplat@2": "30", "langsplat-rescaled@2": "4"}.get(
             row["protocol"]
@@ -101,14 +101,14 @@ def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
         if row["protocol"] == "slgaussian@2":
             assert row["value"] == result.scene_metrics[row["metric"]]
     langsplat = ["iou", "boundary_iou", "hit_box", "hit_peak"]
-    assert found == {
+    assert actual == {
         "slgaussian@2": ["iou", "boundary_iou", "miou", "hit_mask", "hit_box"],
         "langsplat@2": langsplat,
         "langsplat-rescaled@2": langsplat,
         "3d-ovs@2": ["boundary_iou", "miou", "accuracy"],
         "highest-pixel@1": ["hit_mask", "hit_box", "hit_peak"],
     }
-    assert list(found) == [protocol.label for protocol in PROTOCOLS.values()]
+    assert list(actual) == [protocol.label for protocol in PROTOCOLS.values()]
 
 
 def test_samples_of_several_settings_are_no_one_score():
@@ -124,9 +124,9 @@ def test_samples_of_several_settings_are_no_one_score():
 def test_differences_are_of_what_both_were_asked():
     mine = ious(a=[0.9, 0.5], b=[0.4], c=[0.8])
     theirs = [*ious(a=[0.7], b=[0.1]), sample("c", "q0"), sample("d", "q0", iou=0.0)]
-    found = difference(mine, theirs)
-    assert found.gain == compare([0.9, 0.4], [0.7, 0.1])
-    assert (found.gain.samples, found.samples) == (2, 2)
-    assert difference(theirs, mine).gain.low == pytest.approx(-found.gain.high)
+    actual = difference(mine, theirs)
+    assert actual.gain == compare([0.9, 0.4], [0.7, 0.1])
+    assert (actual.gain.samples, actual.samples) == (2, 2)
+    assert difference(theirs, mine).gain.low == pytest.approx(-actual.gain.high)
     with pytest.raises(InputError, match="'q0' in 'f' of scene 'a' is there twice by slgaussian@2"):
         differences([*mine, sample("a", "q0", iou=0.1, method="n")], mine)

@@ -11,9 +11,9 @@ from slgaussian.errors import InputError
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=30), st.floats(-0.5, 0.5))
 def test_a_constant_gain_is_certain(scores, gain):
-    found = compare([s + gain for s in scores], scores)
-    assert (found.difference, found.low, found.high) == (pytest.approx(gain, abs=1e-9),) * 3
-    assert found.samples == len(scores)
+    actual = compare([s + gain for s in scores], scores)
+    assert (actual.difference, actual.low, actual.high) == (pytest.approx(gain, abs=1e-9),) * 3
+    assert actual.samples == len(scores)
 
 
 def test_samples_without_a_score_are_left_out():
@@ -31,7 +31,9 @@ def plainly(groups: list, values: np.ndarray, draws: int) -> list[float]:
     means = []
     for _ in range(draws):
         drawn = (members[k] for k in rng.integers(len(members), size=len(members)))
-        means.append(float(np.mean(np.concatenate([rng.choice(own, len(own)) for own in drawn]))))
+        means.append(
+            float(np.mean(np.concatenate([rng.choice(group, len(group)) for group in drawn])))
+        )
     return means
 
 
@@ -46,19 +48,19 @@ def test_groups_are_drawn_and_then_values_within_them():
     values[-6:] = (1, 1, 1, 1, 1, 12)
     means = plainly(groups, values, 6000)
     times = resample_counts(tuple(groups))
-    own = times @ values / times.sum(1)
-    ends = tuple(np.quantile(own, [0.025, 0.975]))
+    weighted = times @ values / times.sum(1)
+    ends = tuple(np.quantile(weighted, [0.025, 0.975]))
     assert interval_of_mean(values, groups=groups) == pytest.approx(ends)
     # Of 6000 draws the deviation is within 1 % of its own, and so are the ends and the mean.
-    assert own.std() == pytest.approx(np.std(means), rel=0.04)
+    assert weighted.std() == pytest.approx(np.std(means), rel=0.04)
     expected = [np.mean(means), *np.quantile(means, [0.025, 0.975])]
-    assert [own.mean(), *ends] == pytest.approx(expected, abs=0.1 * own.std())
+    assert [weighted.mean(), *ends] == pytest.approx(expected, abs=0.1 * weighted.std())
 
 
 @given(st.lists(st.floats(0, 1), min_size=2, max_size=20), st.integers(2, 5))
 def test_samples_that_are_there_several_times_make_nothing_surer(values, copies):
     once = compare(values, [0.0] * len(values))
     groups = np.repeat(range(len(values)), copies).tolist()
-    again = compare(np.repeat(values, copies), [0.0] * len(groups), groups)
-    assert (again.low, again.high) == pytest.approx((once.low, once.high), abs=1e-12)
-    assert (again.samples, again.independent_samples) == (copies * len(values), len(values))
+    repeated = compare(np.repeat(values, copies), [0.0] * len(groups), groups)
+    assert (repeated.low, repeated.high) == pytest.approx((once.low, once.high), abs=1e-12)
+    assert (repeated.samples, repeated.independent_samples) == (copies * len(values), len(values))

@@ -46,18 +46,18 @@ def test_a_file_is_known_by_its_content_wherever_it_is(weights, tmp_path):
     moved = tmp_path / "elsewhere.safetensors"
     moved.write_bytes(weights.read_bytes())
     places = weights, moved
-    here, there = (Component.of("lifting", "branch", {"weights": place}) for place in places)
-    assert here.identity() == there.identity() == {"weights": file_digest(weights)}
-    assert here.places() == {"weights": str(weights)} != there.places()
-    assert str(tmp_path) not in json.dumps(here.identity())
+    first, second = (Component.of("lifting", "branch", {"weights": place}) for place in places)
+    assert first.identity() == second.identity() == {"weights": file_digest(weights)}
+    assert first.places() == {"weights": str(weights)} != second.places()
+    assert str(tmp_path) not in json.dumps(first.identity())
 
 
 def test_a_part_comes_back_from_its_identity_and_its_places(weights):
-    made = Component.of("lifting", "branch", {"weights": str(weights)})
-    identity = {"lifting": "branch", "branch": made.identity()}
-    again = Component.stored("lifting", json.loads(json.dumps(identity)), made.places())
-    assert again == made == pickle.loads(pickle.dumps(made))
-    assert isinstance(again.load(), BranchLifting)
+    component = Component.of("lifting", "branch", {"weights": str(weights)})
+    identity = {"lifting": "branch", "branch": component.identity()}
+    restored = Component.stored("lifting", json.loads(json.dumps(identity)), component.places())
+    assert restored == component == pickle.loads(pickle.dumps(component))
+    assert isinstance(restored.load(), BranchLifting)
     with pytest.raises(InputError, match="no version is in use"):
         Component.stored("lifting", identity).load()
 

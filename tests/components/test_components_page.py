@@ -1,4 +1,4 @@
-"""What the parts declare is what the documentation and the command say."""
+"""The documentation and the command list what components declare."""
 
 from pathlib import Path
 
@@ -26,8 +26,8 @@ def test_the_page_is_what_its_maker_writes():
 )
 def test_the_schema_tells_configurations_from_others(values, fits):
     jsonschema = pytest.importorskip("jsonschema")
-    known = jsonschema.Draft202012Validator(Settings.model_json_schema())
-    assert known.is_valid(values) == fits
+    validator = jsonschema.Draft202012Validator(Settings.model_json_schema())
+    assert validator.is_valid(values) == fits
 
 
 def test_two_outputs_at_once_are_refused(monkeypatch, capsys):

@@ -1,4 +1,4 @@
-"""What a file, folder or model is known by changes with all that is read of it."""
+"""The identity of a file, folder or model changes with everything that is read from it."""
 
 import os
 import time

@@ -43,8 +43,8 @@ def refused(name, place) -> str:
 @pytest.mark.parametrize("name", KINDS)
 def test_a_model_that_nobody_knows_is_loaded_and_tried(name, copy):
     place = copy(name)
-    said = check_component(KINDS[name], name, {"model": place})
-    assert said == f"model {place}: can be loaded"
+    message = check_component(KINDS[name], name, {"model": place})
+    assert message == f"model {place}: can be loaded"
     tensors = load_file(place / WEIGHTS)
     key = max(tensors, key=lambda key: tensors[key].size)
     tensors[key].flat[0] = np.nan
@@ -75,8 +75,8 @@ def test_a_file_of_the_hub_is_known_by_its_digest(copy):
     blob.write_bytes(content)
     (place / WEIGHTS).unlink()
     (place / WEIGHTS).symlink_to(blob)
-    said = check_component("proposer", "sam", {"model": place})
-    assert said == f"model {place}: is what the hub has, by its SHA-256"
+    verdict = check_component("proposer", "sam", {"model": place})
+    assert verdict == f"model {place}: is what the hub has, by its SHA-256"
     blob.write_bytes(content[:-4] + b"oops")
     message = refused("sam", place)
     assert "is damaged: its SHA-256 begins with" in message and f"delete {blob}" in message

@@ -18,10 +18,10 @@ RED = "200 40 40\n"
 
 
 @pytest.fixture
-def asked(tmp_path):
-    """What a Python program prints, with packages installed in folders beside our own."""
+def run_python(tmp_path):
+    """Run a Python program with packages on its path; return its output."""
 
-    def asked(code: str, *packages: Path, fails: bool = False) -> str:
+    def run_python(code: str, *packages: Path, fails: bool = False) -> str:
         places = map(str, (ROOT, *(packages or (PACKAGE,))))
         env = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
         done = subprocess.run(
@@ -30,7 +30,7 @@ def asked(tmp_path):
         assert (done.returncode != 0) == fails, done.stderr
         return done.stderr if fails else done.stdout
 
-    return asked
+    return run_python
 
 
 def command(*words: object) -> str:
@@ -42,8 +42,8 @@ def package(folder: Path, name: str, line: str, code: str) -> Path:
     """An installed package of one module, with one entry point."""
     (folder / f"{name}.dist-info").mkdir(parents=True)
     (folder / f"{name}.py").write_text(code)
-    about = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n"
-    (folder / f"{name}.dist-info" / "METADATA").write_text(about)
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n"
+    (folder / f"{name}.dist-info" / "METADATA").write_text(metadata)
     (folder / f"{name}.dist-info" / "entry_points.txt").write_text(line)
     return folder
 
@@ -53,15 +53,15 @@ def test_the_page_about_the_architecture_shows_it_whole():
     assert (PACKAGE / "ink.py").read_text("utf-8") in page
 
 
-def test_it_is_listed_with_the_others(asked):
-    listed = " ".join(asked(command("doctor", "--components")).split())
+def test_it_is_listed_with_the_others(run_python):
+    listed = " ".join(run_python(command("doctor", "--components")).split())
     assert "### regions (default)" in listed and "### ink" in listed
     assert "default `40.0`. Greatest distance from a colour." in listed
-    schema = json.loads(asked(command("doctor", "--schema")))
+    schema = json.loads(run_python(command("doctor", "--schema")))
     assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
 
 
-def test_a_file_is_known_by_content_and_relative_to_the_configuration(asked, tmp_path):
+def test_a_file_is_known_by_content_and_relative_to_the_configuration(run_python, tmp_path):
     (tmp_path / "sub").mkdir()
     for file in ("a.txt", "sub/b.txt"):
         (tmp_path / file).write_text(RED)
@@ -74,55 +74,55 @@ def test_a_file_is_known_by_content_and_relative_to_the_configuration(asked, tmp
     for name, file in (("a.toml", "a.txt"), ("sub/b.toml", "b.txt")):
         text = f'proposer = "ink"\n[ink]\ncolours = "{file}"\nleast = 5\n'
         (tmp_path / name).write_text(text)
-    (here, at), (there, elsewhere) = map(json.loads, asked(code).splitlines())
-    assert here == there and here["least"] == 5 and len(here["colours"]) == 64
+    (first, at), (second, elsewhere) = map(json.loads, run_python(code).splitlines())
+    assert first == second and first["least"] == 5 and len(first["colours"]) == 64
     assert at["colours"] == str(tmp_path / "a.txt") != elsewhere["colours"]
 
 
-def test_a_field_is_built_with_it(asked, tmp_path):
+def test_a_field_is_built_with_it(run_python, tmp_path):
     folder = save_photographs(tmp_path)
     view = room_sample().context[0]
     ids, counts = np.unique(view.instances, return_counts=True)
     colours = [np.median(view.image[view.instances == i], 0) for i in ids[counts > 30]]
     np.savetxt(tmp_path / "colours.txt", colours)
     photographs = [folder / f"{name}.png" for name in ROOM["context"]]
-    own = ["--proposer", "ink", "--set", "ink.colours=colours.txt", "--set", "ink.within=60"]
+    options = ["--proposer", "ink", "--set", "ink.colours=colours.txt", "--set", "ink.within=60"]
     near = ["--set", "near=0.8", "--set", "far=12", "--size", "64x64", "--set", "replicas=1"]
     cameras = ["--cameras", folder / "transforms.json"]
-    asked(command("field", *photographs, *cameras, *own, *near, "-o", "field"))
-    said = json.loads((tmp_path / "field" / "field.json").read_text())["settings"]
-    assert said["proposer"] == "ink"
+    run_python(command("field", *photographs, *cameras, *options, *near, "-o", "field"))
+    settings = json.loads((tmp_path / "field" / "field.json").read_text())["settings"]
+    assert settings["proposer"] == "ink"
     digest = file_digest(tmp_path / "colours.txt")
-    assert said["ink"] == {"colours": digest, "within": 60.0, "least": 20}
+    assert settings["ink"] == {"colours": digest, "within": 60.0, "least": 20}
 
 
 @pytest.mark.parametrize("name", ["regions", "lexicon"])
-def test_a_name_that_is_built_in_is_refused(asked, tmp_path, name):
-    own = package(
+def test_a_name_that_is_built_in_is_refused(run_python, tmp_path, name):
+    folder = package(
         tmp_path / "p",
         "mine",
         f"[slgaussian.proposers]\n{name} = mine:Regions\n",
         "class Regions: ...",
     )
-    printed = asked(
+    printed = run_python(
         "from slgaussian.components.registry import find_config\n"
         "from slgaussian.errors import InputError\n"
         f"try: find_config('proposer', {name!r})\nexcept InputError as error: print(error)",
-        own,
+        folder,
     )
     assert printed.startswith(f"proposer '{name}': a component of this name is built in")
 
 
-def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):
+def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(run_python, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
-    own = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
-    listed = asked(command("doctor", "--components"), own).splitlines()
+    folder = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
+    listed = run_python(command("doctor", "--components"), folder).splitlines()
     problem = listed[listed.index("### broken") + 2]
     assert problem.startswith("encoder 'broken': broken:Encoder of the package broken cannot be ")
-    said = asked(
+    message = run_python(
         "from slgaussian.language import load_encoder\n"
         "from slgaussian.errors import InputError\n"
         "try: load_encoder('broken')\nexcept InputError as error: print(error)",
-        own,
+        folder,
     )
-    assert said.strip() == problem
+    assert message.strip() == problem

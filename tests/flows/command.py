@@ -40,7 +40,7 @@ def settings(**values: object) -> list[str]:
 
 
 def score(settings, store, verbose: bool = False):
-    """What the flow of ``slgaussian run`` returns for settings, in a store."""
+    """Run the flow of ``slgaussian run`` with settings and a store."""
     from flows.benchmark import score_scenes
 
     return score_scenes(settings.model_copy(update={"store": store.root}), verbose)

@@ -1,4 +1,4 @@
-"""What the kernel knows of processes: who began them, who lives, who listens where."""
+"""Processes as the kernel lists them: parents, liveness and listening sockets."""
 
 import os
 import re
@@ -39,10 +39,7 @@ def living(processes: dict[int, str]) -> list[str]:
 
 
 def listening(process: int) -> list[tuple[str, str]]:
-    """Where a process listens: the protocol, and the address with its port, as the kernel has it.
-
-    All of it, and not only what was meant.
-    """
+    """Return the protocol and address of every socket on which a process listens."""
     local = set()
     for entry in (PROC / f"{process}/fd").iterdir():
         with suppress(FileNotFoundError):  # closed meanwhile

@@ -47,8 +47,8 @@ ALL = ["a add", "a halve", "a make", "b add", "b halve", "b make"]
 def test_a_run_computes_what_depends_on_what_changed_and_nothing_else(runs):
     first, ran = runs()
     assert ran == ALL
-    again, ran = runs()
-    assert ran == [] and again.refs == first.refs
+    repeated, ran = runs()
+    assert ran == [] and repeated.refs == first.refs
     for values, expected in (
         ({"extra": 2}, ["a add", "b add"]),
         ({"extra": 2, "b": 80}, ["b add", "b halve", "b make"]),

@@ -173,9 +173,9 @@ def test_codes_are_drawn_as_the_papers_feature_maps(walls, tmp_path, slg):
     field = SemanticField.load(walls)
     assert slg("render", walls, "-o", tmp_path / "a.png", "--show", "codes")[0] == 0
     drawn = pixels(tmp_path / "a.png")
-    seen = field.render(field.cameras[FIRST])
-    sure = (seen.confidence > 0.9) & (seen.alpha > 0.99)
-    codes = field.bank.codes[np.searchsorted(field.bank.ids, seen.ids[sure])]
+    view = field.render(field.cameras[FIRST])
+    sure = (view.confidence > 0.9) & (view.alpha > 0.99)
+    codes = field.bank.codes[np.searchsorted(field.bank.ids, view.ids[sure])]
     size = codes.shape[1]
     assert sure.mean() > 0.5 and not drawn[..., size:].any()
     assert np.abs(drawn[sure][:, :size] - 255 * codes).max() <= 0.1 * 255

@@ -109,7 +109,7 @@ def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str
 
 
 def keyed(arguments: dict[str, Any]) -> dict[str, Any]:
-    """What of the arguments of a stage is in its cache key."""
+    """Return the arguments of a stage that are part of its cache key."""
     return {name: canonical(value, name) for name, value in arguments.items()}
 
 

@@ -241,8 +241,8 @@ def test_scenes_become_clips_of_chunks(clips, tmp_path, monkeypatch):
     before = (out / "000000.torch").read_bytes()
     sources = [*(str(tmp_path / name) for name in ("kitchen", "hall")), "procedural:7"]
     (tmp_path / "withdrawn").write_text("procedural_7\n")
-    more = {"sources": sources, "withdrawn": tmp_path / "withdrawn"}
-    run_flow("ingest", settings_for(tmp_path, **more), store)
+    extra = {"sources": sources, "withdrawn": tmp_path / "withdrawn"}
+    run_flow("ingest", settings_for(tmp_path, **extra), store)
     assert re10k.read_index(out) == {"kitchen": "000000.torch", "hall": "000001.torch"}
     assert (out / "000000.torch").read_bytes() == before
 

@@ -1,4 +1,4 @@
-"""What is wrong with an installation is one line each, and never hides the other lines."""
+"""Each problem of an installation is one line, and does not hide the others."""
 
 from importlib.metadata import version
 
@@ -17,22 +17,22 @@ def examined(slg):
 
     def examined(*words) -> tuple[int, dict[str, list[str]]]:
         status, out, _ = slg("doctor", *words)
-        told = {"ok": [], "BAD": []}
+        report = {"ok": [], "BAD": []}
         for line in out.splitlines():
-            mark, said = line.split(maxsplit=1)
-            told[mark].append(" ".join(said.split()))
-        return status, told
+            mark, message = line.split(maxsplit=1)
+            report[mark].append(" ".join(message.split()))
+        return status, report
 
     return examined
 
 
 def test_a_healthy_installation(server, tmp_path, examined):
-    status, told = examined("--store", tmp_path / "store")
-    assert told["BAD"] == [] and status == 0
-    names = [line.split()[0] for line in told["ok"]]
+    status, report = examined("--store", tmp_path / "store")
+    assert report["BAD"] == [] and status == 0
+    names = [line.split()[0] for line in report["ok"]]
     assert names == ["slgaussian", "packages", "threads", "store", "server", "numerics"]
-    assert f"torch {torch.__version__}, numpy {np.__version__}" in told["ok"][1]
-    assert f"server Prefect's server {version('prefect')} answers at {server.url}" in told["ok"]
+    assert f"torch {torch.__version__}, numpy {np.__version__}" in report["ok"][1]
+    assert f"server Prefect's server {version('prefect')} answers at {server.url}" in report["ok"]
 
 
 @pytest.mark.whole
@@ -41,8 +41,8 @@ def test_it_leaves_nothing_that_it_made(tmp_path, monkeypatch, examined):
     monkeypatch.delenv("PREFECT_API_URL")
     monkeypatch.delenv("PREFECT_HOME", raising=False)
     monkeypatch.chdir(tmp_path)
-    status, told = examined()
-    assert told["BAD"] == [] and status == 0
+    status, report = examined()
+    assert report["BAD"] == [] and status == 0
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "mine").mkdir()
     examined("--store", "mine/deep/store")
@@ -51,29 +51,29 @@ def test_it_leaves_nothing_that_it_made(tmp_path, monkeypatch, examined):
 
 def test_a_store_that_cannot_be_used_is_one_line(server, tmp_path, examined):
     (tmp_path / "file").write_text("in the way")
-    for store, said in [
+    for store, message in [
         ("foo://x", "store foo://x: Protocol not known: foo"),
         (tmp_path / "file" / "store", "cannot write there (Not a directory); choose a writable"),
     ]:
-        status, told = examined("--store", store)
-        assert status == 1 and len(told["BAD"]) == 1
-        assert said in told["BAD"][0]
-        assert len(told["ok"]) == 5
+        status, report = examined("--store", store)
+        assert status == 1 and len(report["BAD"]) == 1
+        assert message in report["BAD"][0]
+        assert len(report["ok"]) == 5
 
 
 def test_a_server_that_does_not_answer(tmp_path, monkeypatch, examined):
     monkeypatch.setenv("PREFECT_API_URL", NOBODY)
-    status, told = examined("--store", tmp_path)
-    (bad,) = told["BAD"]
+    status, report = examined("--store", tmp_path)
+    (bad,) = report["BAD"]
     assert status == 1 and f"PREFECT_API_URL {NOBODY}: no Prefect server answers there" in bad
     assert "prefect server start" in bad
 
 
 def test_the_runner_is_looked_at(server, tmp_path, examined):
-    status, told = examined("--store", tmp_path, "--runner", "processes")
-    assert status == 0 and told["ok"][-1] == "runner processes can be started"
-    status, told = examined("--store", tmp_path, "--runner", "ray://[::1]:9")
-    assert status == 1 and "runner" in told["BAD"][0]
+    status, report = examined("--store", tmp_path, "--runner", "processes")
+    assert status == 0 and report["ok"][-1] == "runner processes can be started"
+    status, report = examined("--store", tmp_path, "--runner", "ray://[::1]:9")
+    assert status == 1 and "runner" in report["BAD"][0]
 
 
 def test_files_of_models_are_tried(server, tmp_path, examined):
@@ -81,13 +81,13 @@ def test_files_of_models_are_tried(server, tmp_path, examined):
     save_sam(tmp_path / "sam")
     words = ["--store", tmp_path / "store", "--proposer", "sam"]
     words += ["--set", f"sam.model={tmp_path}/sam"]
-    status, told = examined(*words)
-    assert told["BAD"] == [] and status == 0
-    assert told["ok"][-1].startswith(f"sam model {tmp_path / 'sam'}: can be loaded")
+    status, report = examined(*words)
+    assert report["BAD"] == [] and status == 0
+    assert report["ok"][-1].startswith(f"sam model {tmp_path / 'sam'}: can be loaded")
     (tmp_path / "small.ckpt").write_bytes(b"no checkpoint")
     (tmp_path / "sam" / "model.safetensors").write_bytes(b"\xff" * 20)
     words += ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={tmp_path}/small.ckpt"]
-    status, told = examined(*words)
+    status, report = examined(*words)
     assert status == 1
-    for found, said in zip(told["BAD"], ["small.ckpt: is damaged", "sam"], strict=True):
-        assert said in found
+    for line, expected in zip(report["BAD"], ["small.ckpt: is damaged", "sam"], strict=True):
+        assert expected in line

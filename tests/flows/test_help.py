@@ -1,4 +1,4 @@
-"""What the command line says of itself: help, completion, and slips of the fingers."""
+"""Help, completion and spelling suggestions of the command line."""
 
 import inspect
 import os
@@ -35,7 +35,7 @@ EACH = pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 
 @pytest.fixture
 def visible(monkeypatch, capsys):
-    """What ``slgaussian WORDS`` prints in a terminal of so many columns."""
+    """Run ``slgaussian WORDS`` in a terminal of ``columns`` columns; return the output."""
 
     def visible(*words: str, columns: int = 80) -> str:
         # click's own variable: there is no terminal to ask here.

@@ -1,4 +1,4 @@
-"""What a command imports: nobody waits for what his question does not need."""
+"""Modules that commands import: heavy ones only where they are needed."""
 
 import json
 import subprocess
@@ -24,7 +24,7 @@ finally:
 
 
 def imported(*words: str) -> tuple[str, set[str]]:
-    """What ``slgaussian WORDS`` prints in a process of its own, and the heavy modules it loads."""
+    """Run ``slgaussian WORDS`` in a new process; return its output and the heavy modules it loads."""
     inputs = [sys.executable, "-c", CODE, json.dumps(words)]
     done = subprocess.run(inputs, capture_output=True, text=True)
     assert done.returncode in (0, 3), done.stderr  # what is asked for may not be there

@@ -63,7 +63,7 @@ def test_a_stopped_run_goes_on_later_and_leaves_nothing(
 
 
 def left_in(home: Path) -> list[str]:
-    """What is there but caches, or in shared memory but what other programs share there."""
+    """List the files in a folder except caches, or in shared memory except those of other programs."""
     theirs = ("sem.", "faketime_")
     shared = [p.name for p in Path("/dev/shm").iterdir() if not p.name.startswith(theirs)]
     return shared + [p.name for p in home.iterdir() if p.name != ".cache"]

@@ -45,11 +45,11 @@ def test_who_reads_an_answer_reads_the_same(
     assert ("for 'floor' alone" in hit.summary) == (hit.unknown == ("quixotic",))
     # The last panel: what is drawn, and its caption.
     bold = pictures.draw_outline(view.rgb, hit.mask, pictures.PREDICTED_COLOUR)
-    where = {
+    places = {
         "found": pictures.draw_point(bold, hit.point),
         "not sure": pictures.draw_dashed(view.rgb, hit.mask, pictures.PREDICTED_COLOUR),
     }.get(verdict, view.rgb)
-    panels = [("", view.rgb), ("", view.rgb), (hit.summary, where)]
+    panels = [("", view.rgb), ("", view.rgb), (hit.summary, places)]
     width = view.rgb.shape[1] + 12
     drawn, expected = np.asarray(Image.open(tmp_path / "a.png")), pictures.side_by_side(panels)
     np.testing.assert_array_equal(drawn[:, -width:], expected[:, -width:])

@@ -75,12 +75,14 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     samples = pq.read_table(folder / "out" / "samples.parquet")
     masks = list((folder / "out" / "predictions").glob("*/*/room/**/*.png"))
     assert set(samples["method"].to_pylist()) == {"slgaussian", "no-bank"}
-    made = [name for name in samples["protocol"].to_pylist() if name.partition("@")[0] in SCORABLE]
-    assert len(masks) == len(made) > 0
+    scorable = [
+        name for name in samples["protocol"].to_pylist() if name.partition("@")[0] in SCORABLE
+    ]
+    assert len(masks) == len(scorable) > 0
     assert set(samples["frame"].to_pylist()) == {"view_01", "halfway"}
-    asked = {row["query"]: row for row in samples.to_pylist() if row["iou"] is not None}
+    scored = {row["query"]: row for row in samples.to_pylist() if row["iou"] is not None}
     lost = pq.read_table(folder / "out" / "attribution.parquet").to_pylist()
-    assert {row["query"] for row in lost} == asked.keys()
+    assert {row["query"] for row in lost} == scored.keys()
     assert all(bool(row["lost"]) == (row["iou"] < 0.5 or not row["hit"]) for row in lost)
 
 
@@ -89,9 +91,9 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     before = files_below(folder / "out", ("log",))
     score(settings_for(folder, missing), ArtifactStore(folder / "store"))
     assert files_below(folder / "out", ("log",)) == before
-    told = capsys.readouterr().err
-    assert "room  8 stages cached" in told
-    assert not re.search(r"\w [\d.]+ s( ·|\n)", told.split("left out at")[1].split("\n", 1)[1])
+    printed = capsys.readouterr().err
+    assert "room  8 stages cached" in printed
+    assert not re.search(r"\w [\d.]+ s( ·|\n)", printed.split("left out at")[1].split("\n", 1)[1])
 
 
 @pytest.mark.parametrize("kind", ["processes", "dask"])
@@ -111,19 +113,19 @@ def test_every_runner_leaves_the_same_files(kind, first, tmp_path, request):
 def test_every_artifact_says_which_stage_made_it(first):
     folder, _, _ = first
     store = ArtifactStore(folder / "store")
-    seen = set()
+    stages = set()
     for records in Records(store).all():
         for record in records:
-            said = read_metadata(store.read(record.ref.uri))
-            assert said["spec"] == load_spec(record.ref.spec).label
-            assert (said["made"]["stage"], said["made"]["stage_version"]) == (
+            metadata = read_metadata(store.read(record.ref.uri))
+            assert metadata["spec"] == load_spec(record.ref.spec).label
+            assert (metadata["made"]["stage"], metadata["made"]["stage_version"]) == (
                 record.stage,
                 record.version,
             )
-            assert said["made"]["settings"] == record.ref.meta["settings"]
-            assert said["made"]["of"].keys() == record.ref.meta["inputs"].keys()
-            seen.add(record.stage)
-    assert seen == {*(stage.name for stage in STAGES), "baselines", "report"}
+            assert metadata["made"]["settings"] == record.ref.meta["settings"]
+            assert metadata["made"]["of"].keys() == record.ref.meta["inputs"].keys()
+            stages.add(record.stage)
+    assert stages == {*(stage.name for stage in STAGES), "baselines", "report"}
 
 
 def test_a_file_leads_back_to_the_photographs(first):
@@ -131,12 +133,12 @@ def test_a_file_leads_back_to_the_photographs(first):
     store = ArtifactStore(folder / "store")
     refs = {record.ref.digest: record.ref for some in Records(store).all() for record in some}
     waiting = [ref.digest for ref in refs.values() if ref.spec == "attribution"]
-    seen = {}
+    visited = {}
     while waiting:
         ref = refs[waiting.pop()]
-        seen[ref.spec] = ref
+        visited[ref.spec] = ref
         waiting += ref.meta["inputs"].values()
-    assert seen.keys() == {ref.spec for ref in refs.values()} - {
+    assert visited.keys() == {ref.spec for ref in refs.values()} - {
         "scene_result",
         "report",
     }
@@ -168,17 +170,17 @@ def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_p
     settings = settings_for(folder, missing)
     scene = datasets.load(ROOM["format"], **ROOM["options"])
     sample = scene.sample(ROOM["context"], size=settings.size)
-    own = build_field(replace(sample, scene="room"), settings.built_by)
-    own.save(tmp_path / "own")
+    expected = build_field(replace(sample, scene="room"), settings.built_by)
+    expected.save(tmp_path / "own")
     for file in left.iterdir():
         data, mine = file.read_bytes(), (tmp_path / "own" / file.name).read_bytes()
         if file.suffix == ".json":  # which has the digests of what the others hold
             assert data == mine
             continue
-        made, by = ({**read_metadata(one)["made"]} for one in (data, mine))
+        origin, expected_origin = ({**read_metadata(content)["made"]} for content in (data, mine))
         stage = "supervision" if file.name == "bank.npz" else "field"
-        assert (made["stage"], by["stage"]) == (stage, "build_field")
-        assert made["software"] == by["software"]
+        assert (origin["stage"], expected_origin["stage"]) == (stage, "build_field")
+        assert origin["software"] == expected_origin["software"]
     assert finished.ready.startswith("slgaussian query ")
     assert shlex.split(finished.look) == ["slgaussian", "view", str(left)]
 
@@ -190,9 +192,9 @@ def test_the_last_line_of_a_run_is_a_command_that_works(first, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     words = ["run", config, "--store", folder / "store", "-o", "out of it's reach"]
     assert run(monkeypatch, *words) == 0
-    told = capsys.readouterr()
-    assert "room  benchmark  cached" in told.err
-    words = shlex.split(told.out.splitlines()[-1])
+    printed = capsys.readouterr()
+    assert "room  benchmark  cached" in printed.err
+    words = shlex.split(printed.out.splitlines()[-1])
     assert words[:3] == ["slgaussian", "query", "out of it's reach/fields/room"]
     assert run(monkeypatch, *words[1:], "--json") == 0
     (answer,) = map(json.loads, capsys.readouterr().out.splitlines())

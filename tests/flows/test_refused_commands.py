@@ -1,4 +1,4 @@
-"""What commands refuse before any work: one sentence, status 2, and no file."""
+"""Input that commands refuse before any work: one sentence, status 2, and no file."""
 
 import shlex
 import shutil

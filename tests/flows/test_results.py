@@ -44,7 +44,7 @@ def store(request, tmp_path) -> ArtifactStore:
 
 
 def stamps(folder: Path) -> dict[str, tuple[int, int]]:
-    """Which file each is, and when it was last written."""
+    """Return the inode and modification time of each file."""
     files = (file for file in folder.rglob("*") if file.is_file())
     return {str(f.relative_to(folder)): (f.stat().st_ino, f.stat().st_mtime_ns) for f in files}
 
@@ -71,7 +71,7 @@ def test_every_field_is_left_as_save_writes_it(field, store, tmp_path):
 def test_a_second_run_writes_nothing_but_what_is_amiss(field, store, tmp_path):
     fields, out = dict.fromkeys(SCENES, put_field(store, field)), tmp_path / "out"
 
-    def again(places=None) -> set[str]:
+    def rewrite(places=None) -> set[str]:
         """Files that are others now."""
         before = stamps(out / "fields")
         results.write_fields(store, fields, places or {}, out)
@@ -80,15 +80,15 @@ def test_a_second_run_writes_nothing_but_what_is_amiss(field, store, tmp_path):
         return {name for name in after if after[name] != before.get(name)}
 
     results.write_fields(store, fields, {}, out)
-    assert again() == set()
+    assert rewrite() == set()
     room = out / "fields" / "room"
     (room / "bank.npz").unlink()
-    assert {"room/bank.npz"} <= again() <= {f"room/{name}" for name in os.listdir(room)}
+    assert {"room/bank.npz"} <= rewrite() <= {f"room/{name}" for name in os.listdir(room)}
     (room / "field.json").write_text("{}")
-    assert "room/field.json" in again()
-    assert len(again({"model": "/moved"})) >= len(SCENES)
+    assert "room/field.json" in rewrite()
+    assert len(rewrite({"model": "/moved"})) >= len(SCENES)
     assert json.loads((room / "field.json").read_text())["places"] == {"model": "/moved"}
-    assert again({"model": "/moved"}) == set()
+    assert rewrite({"model": "/moved"}) == set()
 
 
 def test_a_store_that_is_cleared_takes_no_field_along(field, store, tmp_path):
@@ -146,7 +146,7 @@ def row(query: str, frame: str = "a", iou: float | None = 0.9, hit: bool = True,
     return {**inputs, "protocol": "slgaussian@2", **local}
 
 
-def asked(field: SemanticField, *rows: dict) -> str | None:
+def example_text(field: SemanticField, *rows: dict) -> str | None:
     result = example(SceneResult("room", list(rows), {}, {}, {}), field)
     return None if result is None else result["text"]
 
@@ -157,16 +157,16 @@ def test_the_question_to_begin_with_is_one_that_is_answered_rightly(field):
     hits = field.render(first).query_all(texts)
     item, two, *_ = (hit.text for hit in hits if hit.found)
     unsure = next(hit.text for hit in hits if hit.objects and not hit.found)
-    assert asked(field, row(item, iou=0.8), row(two)) == two
-    assert asked(field, row(item, iou=0.8), row(two, hit=False)) == item
-    assert asked(field, row(item, iou=0.6), row(two), row(two, "b", 0.4)) == item
-    assert asked(field, row(item, iou=0.8), row(two, protocol="langsplat@2")) == item
+    assert example_text(field, row(item, iou=0.8), row(two)) == two
+    assert example_text(field, row(item, iou=0.8), row(two, hit=False)) == item
+    assert example_text(field, row(item, iou=0.6), row(two), row(two, "b", 0.4)) == item
+    assert example_text(field, row(item, iou=0.8), row(two, protocol="langsplat@2")) == item
     # What was asked without truth comes after all that is known to be right.
     unknown = {"iou": None, "hit": None}
-    assert asked(field, row(item, **unknown, score=0.9), row(two, iou=0.6)) == two
-    assert asked(field, row(item, **unknown), row(two, **unknown, score=0.7)) == two
-    assert asked(field, row(item, iou=0.3), row(two, note="unknown: x")) is None
-    assert asked(field) is None
+    assert example_text(field, row(item, **unknown, score=0.9), row(two, iou=0.6)) == two
+    assert example_text(field, row(item, **unknown), row(two, **unknown, score=0.7)) == two
+    assert example_text(field, row(item, iou=0.3), row(two, note="unknown: x")) is None
+    assert example_text(field) is None
     # However right the truth says it is, what the field does not call found is not proposed.
-    assert asked(field, row(item, iou=0.6), row(unsure, iou=0.9)) == item
-    assert asked(field, row(unsure, iou=0.9)) is None
+    assert example_text(field, row(item, iou=0.6), row(unsure, iou=0.9)) == item
+    assert example_text(field, row(unsure, iou=0.9)) is None

@@ -81,7 +81,7 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
         assert edges["field"] == {"ingest", "geometry", "masks", "supervision"}
         assert edges["benchmark"] == {"ingest", "truth", "geometry", "masks", "field"}
     keys = {REPORT: "markdown", SCORES: "table"}
-    output = asked(server, "artifacts/filter", {"artifacts": {"key": {"any_": list(keys)}}})
+    output = post(server, "artifacts/filter", {"artifacts": {"key": {"any_": list(keys)}}})
     assert {first["key"]: first["type"] for first in output} == keys
     assert any("IoU" in first["data"] for first in output if first["key"] == REPORT)
 
@@ -89,14 +89,14 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
 def ended_runs(server, name: str) -> list[dict]:
     """The final states of a flow's runs, the latest first, each with the id of its run."""
     which = {"flows": {"name": {"any_": [name]}}, "sort": "END_TIME_DESC"}
-    runs = asked(server, "flow_runs/filter", which)
+    runs = post(server, "flow_runs/filter", which)
     return [{**first["state"], "flow_run": first["id"]} for first in runs]
 
 
 def wait_for(server, which: dict, count: int) -> list[dict]:
     """Task runs, which reach the server as events, a little later."""
     for _ in range(100):
-        tasks = asked(server, "task_runs/filter", which)
+        tasks = post(server, "task_runs/filter", which)
         final = [t for t in tasks if t["state_type"] in ("COMPLETED", "FAILED")]
         if len(final) == len(tasks) and sum(t["name"].endswith("room") for t in tasks) >= count:
             return tasks
@@ -104,8 +104,8 @@ def wait_for(server, which: dict, count: int) -> list[dict]:
     raise AssertionError([(t["name"], t["state_name"]) for t in tasks])
 
 
-def asked(server, path: str, inputs: dict):
-    """What the server answers; asked again while its database is locked, which 503 may mean."""
+def post(server, path: str, inputs: dict):
+    """Post to the server; retry on 503, which it sends while its database is locked."""
     for _ in range(20):
         answer = httpx.post(f"{server.url}/{path}", json=inputs, timeout=60)
         if answer.status_code != 503:

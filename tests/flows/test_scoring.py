@@ -45,13 +45,13 @@ def labelled(tmp_path_factory) -> Path:
     (folder / "labels" / f"{target}.json").write_text(
         json.dumps({"info": info, "objects": objects})
     )
-    asked = [*dict.fromkeys(one["category"] for one in objects), "purple elephant"]
+    queries = [*dict.fromkeys(one["category"] for one in objects), "purple elephant"]
     entry = {"context": [f"{n}.png" for n in ROOM["context"]], "target": [f"{target}.png"]}
     index = {
         "version": 2,
         "format": "nerfstudio",
         "rule": {},
-        "scenes": {"desk": {**entry, "categories": asked}},
+        "scenes": {"desk": {**entry, "categories": queries}},
         "left_out": {},
     }
     (folder / "pairs.json").write_text(json.dumps(index))
@@ -75,7 +75,7 @@ def benchmark(labelled: Path, package: Path, out: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def made(labelled, tmp_path_factory, server) -> Path:
+def run_out(labelled, tmp_path_factory, server) -> Path:
     out = tmp_path_factory.mktemp("made") / "run"
     benchmark(labelled, PACKAGE, out)
     return out
@@ -87,66 +87,68 @@ def samples(folder: Path) -> dict:
     return {tuple(row[name] for name in names): row for row in rows}
 
 
-def test_a_method_of_another_package_is_in_the_report(made):
-    rows = [row for key, row in samples(made).items() if key[0] == "colours"]
+def test_a_method_of_another_package_is_in_the_report(run_out):
+    rows = [row for key, row in samples(run_out).items() if key[0] == "colours"]
     assert {row["protocol"].partition("@")[0] for row in rows} == PROTOCOLS.keys()
     assert any(row["iou"] for row in rows)
     (value,) = [
         row["value"]
-        for row in pq.read_table(made / "scores.parquet").to_pylist()
+        for row in pq.read_table(run_out / "scores.parquet").to_pylist()
         if (row["method"], row["protocol"], row["metric"]) == ("colours", "slgaussian@2", "iou")
     ]
-    page = (made / "report.md").read_text()
+    page = (run_out / "report.md").read_text()
     (line,) = [line for line in page.splitlines() if line.startswith("| colours |")][:1]
     assert f"{value:.3f}" in line
-    described = json.loads((made / "manifest.json").read_text())["methods"]
+    described = json.loads((run_out / "manifest.json").read_text())["methods"]
     assert described["colours"].startswith("colours of colours ")
 
 
-def test_another_version_of_its_code_is_asked_again(labelled, made, tmp_path):
+def test_another_version_of_its_code_is_asked_again(labelled, run_out, tmp_path):
     package = shutil.copytree(PACKAGE, tmp_path / "package")
     code = (package / "colours.py").read_text()
     (package / "colours.py").write_text(code.replace("within: float = 0.75", "within: float = 0.9"))
-    out = made.parent / "again"
+    out = run_out.parent / "again"
     benchmark(labelled, package, out)
-    before, after = samples(made), samples(out)
+    before, after = samples(run_out), samples(out)
     assert before.keys() == after.keys()
     changed = {key[0] for key in before if before[key] != after[key]}
     assert changed == {"colours"}
 
 
-def test_scores_of_the_masks_of_a_run_are_those_of_the_run(labelled, made, tmp_path, slg):
+def test_scores_of_the_masks_of_a_run_are_those_of_the_run(labelled, run_out, tmp_path, slg):
     out = tmp_path / "scored"
-    status, printed, errors = slg("score", made, *data(labelled), "-o", out)
+    status, printed, errors = slg("score", run_out, *data(labelled), "-o", out)
     assert status == 0 and "missing" not in errors and "left out" not in errors
-    of_run, again = samples(made), samples(out)
-    kept = {key for key in of_run if key[1].partition("@")[0] in SCORABLE}
-    assert again.keys() == kept
-    assert {key[0] for key in kept} == {"slgaussian", "colours"}
-    for key in kept:
+    of_run, rescored = samples(run_out), samples(out)
+    scorable = {key for key in of_run if key[1].partition("@")[0] in SCORABLE}
+    assert rescored.keys() == scorable
+    assert {key[0] for key in scorable} == {"slgaussian", "colours"}
+    for key in scorable:
         for name in ("dataset", "place", "iou", "boundary_iou", "class_iou", "accuracy"):
-            assert again[key][name] == of_run[key][name], (key, name)
-    for file in (made / "predictions").rglob("*.png"):
+            assert rescored[key][name] == of_run[key][name], (key, name)
+    for file in (run_out / "predictions").rglob("*.png"):
         mask = np.asarray(Image.open(file))
-        twin = np.asarray(Image.open(out / "predictions" / file.relative_to(made / "predictions")))
+        twin = np.asarray(
+            Image.open(out / "predictions" / file.relative_to(run_out / "predictions"))
+        )
         assert np.array_equal(mask, twin)
     table = {line.split("  ")[0]: line for line in printed.split("\n\n")[0].splitlines()}
-    ious = [row["iou"] for key, row in again.items() if key[:2] == ("colours", "slgaussian@2")]
+    ious = [row["iou"] for key, row in rescored.items() if key[:2] == ("colours", "slgaussian@2")]
     assert f"{np.mean([iou for iou in ious if iou is not None]):.3f}" in table["colours"]
     assert "protocol slgaussian@2" in printed
     # The folder is one that compare reads, and it finds no difference.
-    status, printed, _ = slg("compare", made, out)
+    status, printed, _ = slg("compare", run_out, out)
     assert status == 0 and "IoU that changed most" not in printed
     assert "+0.000" in printed and "+0.001" not in printed
 
 
-def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, slg):
+def test_run_lengths_and_labels_without_an_index(labelled, run_out, tmp_path, slg):
     entries = []
-    for key, row in samples(made).items():
+    for key, row in samples(run_out).items():
         method, protocol, scene, frame, query = key
         if (method, protocol) != ("colours", "slgaussian@2") or row["iou"] is None:
             continue
-        file = made / "predictions" / method / "slgaussian" / scene / "view_01" / f"{query}.png"
+        file = run_out / "predictions" / method / "slgaussian" / scene / "view_01" / f"{query}.png"
         mask = np.asarray(Image.open(file).convert("L")) > 127
         # Without an index the scene is called as the folder is.
         point = [row["point_x"], row["point_y"]] if row["point_x"] is not None else None
@@ -160,7 +162,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, slg):
     last = entries[-1]["query"]
     count = f"missing: 1 of {len(entries)} samples have no mask and count as an empty one: "
     assert status == 0 and count in errors and f" in x of {labelled.name}\n" in errors
-    of_run = samples(made)
+    of_run = samples(run_out)
     for key, row in samples(out).items():
         assert key[:3] == ("mine", "slgaussian@2", labelled.name)
         if key[-1] == last:
@@ -176,24 +178,24 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, slg):
     assert len(list((out / "predictions").rglob("*.png"))) == 1
 
 
-def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, refusal):
+def test_what_cannot_be_scored_is_one_sentence(labelled, run_out, tmp_path, refusal):
     empty, other, out = tmp_path / "empty", tmp_path / "other.json", tmp_path / "out"
     empty.mkdir()
     entry = {"scene": "a", "frame": "b", "query": "c", "size": [1, 1], "counts": [1]}
     other.write_text(json.dumps([entry]))
-    asked = data(labelled)
+    arguments = data(labelled)
     for words, sentence in (
-        ((made, *asked, "--protocol", "highest-pixel"), "which masks do not have"),
-        ((made, *asked, "--protocol", "langsplt"), "did you mean 'langsplat'"),
-        ((made, *asked[:-1], "32x32"), "has 64x64 pixels, height first, and its view is"),
-        ((made, *asked[:-1], "original"), "size: found 'original', expected HEIGHTxWIDTH"),
-        ((empty, *asked), "holds no mask of slgaussian or langsplat"),
-        ((other, *asked), "no mask belongs to a query (found 'c' in b of a)"),
-        ((made, "--data", labelled), "data format 'nerfstudio' has no labels of its own"),
-        ((made,), "nothing to do"),
+        ((run_out, *arguments, "--protocol", "highest-pixel"), "which masks do not have"),
+        ((run_out, *arguments, "--protocol", "langsplt"), "did you mean 'langsplat'"),
+        ((run_out, *arguments[:-1], "32x32"), "has 64x64 pixels, height first, and its view is"),
+        ((run_out, *arguments[:-1], "original"), "size: found 'original', expected HEIGHTxWIDTH"),
+        ((empty, *arguments), "holds no mask of slgaussian or langsplat"),
+        ((other, *arguments), "no mask belongs to a query (found 'c' in b of a)"),
+        ((run_out, "--data", labelled), "data format 'nerfstudio' has no labels of its own"),
+        ((run_out,), "nothing to do"),
     ):
         assert sentence in refusal("score", *words, "-o", out)
         assert not out.exists()
-    before = (made / "samples.parquet").read_bytes()
-    assert "has the results of a run" in refusal("score", made, *asked, "-o", made)
-    assert (made / "samples.parquet").read_bytes() == before
+    before = (run_out / "samples.parquet").read_bytes()
+    assert "has the results of a run" in refusal("score", run_out, *arguments, "-o", run_out)
+    assert (run_out / "samples.parquet").read_bytes() == before

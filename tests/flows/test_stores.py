@@ -27,7 +27,7 @@ def store(bucket):
 
 
 def ran(store: ArtifactStore, log: Path, value: int = 6, extra: int = 1) -> list[str]:
-    """What a run had to compute."""
+    """Run, and return what was computed."""
     log.write_text("")
     outcome = run_tiny(store, {"a": tiny(value, extra, log)})
     assert outcome.failures == []
@@ -55,14 +55,14 @@ def test_no_record_can_have_code_run(tmp_path, monkeypatch):
     assert not (tmp_path / "sprung").exists()
 
 
-def kept(store: ArtifactStore) -> int:
+def count_files(store: ArtifactStore) -> int:
     return sum(len(files) for files in store.walk())
 
 
 @pytest.mark.usefixtures("server")
 def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     ran(store, tmp_path / "log")
-    full = kept(store)
+    full = count_files(store)
     store.put("labels", {**store.get(any_ref(store)), "margin": quarters()})
     assert run(monkeypatch, "store", "gc", "--store", store.root) == 0
     out = capsys.readouterr().out
@@ -71,7 +71,7 @@ def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     time.sleep(1.1)  # S3 says seconds
     assert run(monkeypatch, "store", "gc", "--store", store.root, "--age", "0", "--yes") == 0
     assert "removed: 1 artifacts that nothing refers to; " in capsys.readouterr().out
-    assert kept(store) == full
+    assert count_files(store) == full
 
     assert run(monkeypatch, "inspect", store.root) == 0
     assert ran(store, tmp_path / "log") == []

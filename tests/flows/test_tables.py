@@ -1,4 +1,4 @@
-"""What is printed of scores says what they mean and how sure they are."""
+"""Printed tables of scores state their meaning and their intervals."""
 
 from flows.cli.score_tables import scenes_text
 from slgaussian.benchmark.evaluate import SceneResult

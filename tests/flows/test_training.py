@@ -71,12 +71,12 @@ def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
     """Lessons in the store of a folder, as `supervise` lists them in its ``corpus``."""
     store, rows = ArtifactStore(folder / "store"), []
     for seed in seeds:
-        made = lesson(seed, holed)
-        ref = store.put("lesson", made.to_arrays())
-        known = {"chunk": f"{seed // 8}.torch", "sample": made.sample, "clip": made.sample}
-        counts = {"gaussians": len(made.gaussians), "objects": 2, "shared": 2}
+        drawn = lesson(seed, holed)
+        ref = store.put("lesson", drawn.to_arrays())
+        row = {"chunk": f"{seed // 8}.torch", "sample": drawn.sample, "clip": drawn.sample}
+        counts = {"gaussians": len(drawn.gaussians), "objects": 2, "shared": 2}
         shares = {"unlabelled_context": 0.0, "unlabelled_target": 0.0}
-        rows.append({**known, "uri": ref.uri, "digest": ref.digest, **counts, **shares})
+        rows.append({**row, "uri": ref.uri, "digest": ref.digest, **counts, **shares})
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
     (folder / "corpus").mkdir(exist_ok=True)
     (folder / "corpus" / "lessons.parquet").write_bytes(encode_table(table, load_spec("lessons")))
@@ -84,35 +84,41 @@ def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
 
 
 def command(folder: Path, out: str = "out", *more: str) -> list[str]:
-    given = ["--lessons", folder / "corpus", "-o", folder / out, "--store", folder / "store"]
-    return ["train", *map(str, given), *more]
+    arguments = ["--lessons", folder / "corpus", "-o", folder / out, "--store", folder / "store"]
+    return ["train", *map(str, arguments), *more]
 
 
 def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
     table = lessons_of(tmp_path, range(12))
     status, _, errors = slg(*command(tmp_path, "out", *FEW))
     assert status == 0 and "branch  train  cached" not in errors
-    made = files_below(tmp_path / "out")
-    assert made.keys() == set(FILES.values())
+    files = files_below(tmp_path / "out")
+    assert files.keys() == set(FILES.values())
     assert load_branch(tmp_path / "out" / "branch.safetensors").architecture == Architecture()
     for name in ("metrics", "judgements"):
-        found = pq.read_table(tmp_path / "out" / f"{name}.parquet")
-        load_spec(name).check_table(found, name)
-    kept = {clip for clip in table["clip"].to_pylist() if held_out(clip, 0.4)}
+        stored = pq.read_table(tmp_path / "out" / f"{name}.parquet")
+        load_spec(name).check_table(stored, name)
+    test_clips = {clip for clip in table["clip"].to_pylist() if held_out(clip, 0.4)}
     learnt = set(pq.read_table(tmp_path / "out" / "metrics.parquet")["sample"].to_pylist())
-    judged = found.to_pylist()
-    assert 0 < len(kept) < 12 and {row["clip"] for row in judged} == kept and not kept & learnt
-    one = [row["lifting"] for row in judged if row["sample"] == min(kept)]
+    judged = stored.to_pylist()
+    assert (
+        0 < len(test_clips) < 12
+        and {row["clip"] for row in judged} == test_clips
+        and not test_clips & learnt
+    )
+    one = [row["lifting"] for row in judged if row["sample"] == min(test_clips)]
     assert one == ["hard", "filled", "branch"]
-    page = made["report.html"].decode()
+    page = files["report.html"].decode()
     assert "http" not in page and page.count("data:image/svg+xml") == 1
     assert not list((tmp_path / "store" / "checkpoints").rglob("*.pt"))
 
     # Another order, and other chunks, are no other lessons.
-    again = table.take(np.arange(12)[::-1]).set_column(0, table.schema.field(0), [["x"] * 12])
-    (tmp_path / "corpus" / "lessons.parquet").write_bytes(encode_table(again, load_spec("lessons")))
+    shuffled = table.take(np.arange(12)[::-1]).set_column(0, table.schema.field(0), [["x"] * 12])
+    (tmp_path / "corpus" / "lessons.parquet").write_bytes(
+        encode_table(shuffled, load_spec("lessons"))
+    )
     assert "branch  train  cached" in slg(*command(tmp_path, "again", *FEW))[2]
-    assert files_below(tmp_path / "again") == made
+    assert files_below(tmp_path / "again") == files
 
 
 def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch):
@@ -164,9 +170,9 @@ def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, refusal):
 
 
 def retrain_settings(folder: Path, **more):
-    given = {"sources": ["chunks"], "out": str(folder / "out"), "models": str(folder / "models")}
+    values = {"sources": ["chunks"], "out": str(folder / "out"), "models": str(folder / "models")}
     (folder / "out").mkdir(exist_ok=True)
-    return read_toml(None, {**given, "held_out": 0.4, "steps": 4, **more}, RetrainSettings)
+    return read_toml(None, {**values, "held_out": 0.4, "steps": 4, **more}, RetrainSettings)
 
 
 def bad_branch() -> bytes:
@@ -181,29 +187,35 @@ def test_only_better_weights_are_put_to_use(tmp_path):
 
     store, versions = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models")
     settings = retrain_settings(tmp_path)
-    made = learn(lessons_of(tmp_path, range(16)), settings, store)
-    assert made.version.number == 1 and not made.version.promoted and versions.current() is None
+    outcome = learn(lessons_of(tmp_path, range(16)), settings, store)
+    assert (
+        outcome.version.number == 1 and not outcome.version.promoted and versions.current() is None
+    )
     why = r"version 1 stored, not promoted: (no gain over|worse than) no network \((filled|hard)\)"
-    assert re.match(why, made.message)
+    assert re.match(why, outcome.message)
     same = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert same.version is None
     assert same.message == "nothing new since version 1; no version is in use"
 
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
-    made = learn(lessons_of(tmp_path, range(18)), settings, store)
-    assert not made.version.promoted
+    outcome = learn(lessons_of(tmp_path, range(18)), settings, store)
+    assert not outcome.version.promoted
     assert re.match(
-        r"version 3 stored, not promoted: (no gain over|worse than) no network", made.message
+        r"version 3 stored, not promoted: (no gain over|worse than) no network", outcome.message
     )
-    assert made.regressed.startswith("version 2, in use, is worse than no network (")
+    assert outcome.regressed.startswith("version 2, in use, is worse than no network (")
 
     settings = retrain_settings(tmp_path, steps=200, rate=0.02)
-    made = learn(lessons_of(tmp_path, range(18), holed=True), settings, store)
-    assert made.version.promoted and made.version.parent == bad.number and not made.regressed
-    assert made.message.startswith("version 4 promoted: better than no network (")
-    assert made.message.endswith("and version 2") or "and than version 2 and no" in made.message
-    assert versions.current() == made.version
-    scores = made.version.facts["scores"]["iou"]
+    outcome = learn(lessons_of(tmp_path, range(18), holed=True), settings, store)
+    assert (
+        outcome.version.promoted and outcome.version.parent == bad.number and not outcome.regressed
+    )
+    assert outcome.message.startswith("version 4 promoted: better than no network (")
+    assert (
+        outcome.message.endswith("and version 2") or "and than version 2 and no" in outcome.message
+    )
+    assert versions.current() == outcome.version
+    scores = outcome.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
     with pytest.raises(InputError, match=r"held_out: found 0\.3, but version 4 .* with 0\.4"):
         learn(lessons_of(tmp_path, range(18)), retrain_settings(tmp_path, held_out=0.3), store)

@@ -44,35 +44,35 @@ def angles(a: torch.Tensor, b: torch.Tensor) -> np.ndarray:
 def test_rotations_survive_32_bits(rows):
     quats = np.array(rows, np.float32)
     quats[np.linalg.norm(quats, axis=1) < 1e-3] = (0, 0, 0, 1)
-    again = unpack_quats(pack_quats(quats))
+    restored = unpack_quats(pack_quats(quats))
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    cosine = np.abs((unit.astype(np.float64) * again).sum(1)).clip(0, 1)
+    cosine = np.abs((unit.astype(np.float64) * restored).sum(1)).clip(0, 1)
     assert np.degrees(2 * np.arccos(cosine)).max() < 0.28
-    np.testing.assert_allclose(np.linalg.norm(again, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(restored, axis=1), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_spz_reads_again(tmp_path, degree):
     gaussians = some(degree=degree)
     save_spz(gaussians, tmp_path / "a.spz")
-    again = load_spz(tmp_path / "a.spz")
-    assert (gaussians.means - again.means).abs().max() < 2e-6 * gaussians.means.abs().max()
-    assert (gaussians.scales / again.scales).log().abs().max() < 0.501 / 16
-    assert (gaussians.opacities - again.opacities).abs().max() <= 0.501 / 255
-    assert (gaussians.sh[:, 0] - again.sh[:, 0]).abs().max() <= 0.501 / 255 / 0.15
+    restored = load_spz(tmp_path / "a.spz")
+    assert (gaussians.means - restored.means).abs().max() < 2e-6 * gaussians.means.abs().max()
+    assert (gaussians.scales / restored.scales).log().abs().max() < 0.501 / 16
+    assert (gaussians.opacities - restored.opacities).abs().max() <= 0.501 / 255
+    assert (gaussians.sh[:, 0] - restored.sh[:, 0]).abs().max() <= 0.501 / 255 / 0.15
     if degree:
-        assert (gaussians.sh[:, 1:4] - again.sh[:, 1:4]).abs().max() <= 5 / 128
-        assert (gaussians.sh[:, 1:] - again.sh[:, 1:]).abs().max() <= 9 / 128
-    assert angles(gaussians.quats, again.quats).max() < 0.28
+        assert (gaussians.sh[:, 1:4] - restored.sh[:, 1:4]).abs().max() <= 5 / 128
+        assert (gaussians.sh[:, 1:] - restored.sh[:, 1:]).abs().max() <= 9 / 128
+    assert angles(gaussians.quats, restored.quats).max() < 0.28
 
 
 def test_spz_turns_harmonics_with_the_axes(tmp_path):
     """Written without being turned, colours would be those of a mirrored direction."""
     gaussians = some(20, degree=3, seed=3)
     save_spz(gaussians, tmp_path / "a.spz")
-    again = load_spz(tmp_path / "a.spz")
+    restored = load_spz(tmp_path / "a.spz")
     cam = Camera(np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(4), 64, 48)
-    assert (colors(gaussians, cam) - colors(again, cam)).abs().max() < 0.35
+    assert (colors(gaussians, cam) - colors(restored, cam)).abs().max() < 0.35
     data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
     stored = np.frombuffer(data, np.uint8)[16 + 20 * 20 :].reshape(20, 15, 3)
     # Degree 1 holds y, z and x: the first two are turned.

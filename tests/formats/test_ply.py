@@ -48,21 +48,23 @@ def write(path, data, kind="f4", text=False, order="<"):
 @pytest.mark.parametrize(("count", "width"), [(1, 0), (4, 4), (16, 4)])
 def test_gaussians_round_trip(tmp_path, count, width):
     features = torch.rand(50, width) if width else None
-    made = some(count=count, features=features)
+    original = some(count=count, features=features)
     labels = np.arange(50) % 7
-    save_ply(made, tmp_path / "a.ply", labels)
-    again, extra = load_ply(tmp_path / "a.ply")
+    save_ply(original, tmp_path / "a.ply", labels)
+    restored, extra = load_ply(tmp_path / "a.ply")
     for name in ("means", "sh", "source", *(["features"] if width else [])):
-        assert torch.equal(getattr(again, name), getattr(made, name)), name
-    assert width or again.features is None
-    assert all(value.dtype == dict(made.items())[name].dtype for name, value in again.items())
+        assert torch.equal(getattr(restored, name), getattr(original, name)), name
+    assert width or restored.features is None
+    assert all(
+        value.dtype == dict(original.items())[name].dtype for name, value in restored.items()
+    )
     # What is stored is rounded once: the logarithm by EPS of itself, which is that relative error
     # of the scale, and the value by EPS again. Twice that leaves room for exp and sigmoid.
-    log = made.scales.double().log().abs()
-    relative = (again.scales.double() / made.scales.double() - 1).abs()
+    log = original.scales.double().log().abs()
+    relative = (restored.scales.double() / original.scales.double() - 1).abs()
     assert (relative <= 2 * EPS * (1 + log)).all()
-    assert (again.opacities.double() - made.opacities.double()).abs().max() <= EPS
-    assert (again.quats - made.quats).abs().max() <= 4 * EPS  # as unit as float32 made them
+    assert (restored.opacities.double() - original.opacities.double()).abs().max() <= EPS
+    assert (restored.quats - original.quats).abs().max() <= 4 * EPS  # as unit as float32 made them
     assert extra["label"].tolist() == labels.tolist()
     assert extra["label"].dtype == np.int32
     assert extra.keys() == {"label"}
@@ -71,15 +73,15 @@ def test_gaussians_round_trip(tmp_path, count, width):
 def test_opacity_and_scale_at_their_ends_survive(tmp_path):
     ends = torch.tensor([0, 1.5e-45, 1e-30, 1e-6, 0.5, 1 - 1e-6, 1 - 2**-24, 1])
     save_ply(some(8, opacities=ends, scales=ends[:, None].repeat(1, 3)), tmp_path / "a.ply")
-    again, _ = load_ply(tmp_path / "a.ply")
-    for found in (again.opacities, again.scales[:, 0]):
-        assert torch.equal(found[[0, 1, 6, 7]], ends[[0, 1, 6, 7]])
-        assert (found / ends - 1).abs()[1:].max() < 5e-6  # EPS of a logarithm of 69
+    restored, _ = load_ply(tmp_path / "a.ply")
+    for values in (restored.opacities, restored.scales[:, 0]):
+        assert torch.equal(values[[0, 1, 6, 7]], ends[[0, 1, 6, 7]])
+        assert (values / ends - 1).abs()[1:].max() < 5e-6  # EPS of a logarithm of 69
 
 
 def test_the_file_is_the_standard_one(tmp_path):
-    made = some(count=4)
-    save_ply(made, tmp_path / "a.ply")
+    original = some(count=4)
+    save_ply(original, tmp_path / "a.ply")
     file = PlyData.read(str(tmp_path / "a.ply"))
     vertex = file["vertex"]
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
@@ -88,13 +90,13 @@ def test_the_file_is_the_standard_one(tmp_path):
     assert [p.name for p in vertex.properties] == [*names, "source"]
     assert (file.byte_order, file.text) == ("<", False)
     assert {p.val_dtype for p in vertex.properties} == {"f4"}
-    np.testing.assert_array_equal(vertex["f_rest_2"], made.sh[:, 3, 0])  # all of red first
-    np.testing.assert_array_equal(vertex["f_rest_3"], made.sh[:, 1, 1])
-    np.testing.assert_array_equal(vertex["f_rest_7"], made.sh[:, 2, 2])
-    np.testing.assert_allclose(np.exp(vertex["scale_1"]), made.scales[:, 1], rtol=1e-5)
+    np.testing.assert_array_equal(vertex["f_rest_2"], original.sh[:, 3, 0])  # all of red first
+    np.testing.assert_array_equal(vertex["f_rest_3"], original.sh[:, 1, 1])
+    np.testing.assert_array_equal(vertex["f_rest_7"], original.sh[:, 2, 2])
+    np.testing.assert_allclose(np.exp(vertex["scale_1"]), original.scales[:, 1], rtol=1e-5)
     opacity = 1 / (1 + np.exp(-vertex["opacity"].astype(np.float64)))
-    np.testing.assert_allclose(opacity, made.opacities, atol=1e-7)
-    np.testing.assert_array_equal(vertex["rot_0"], made.quats[:, 0])  # w comes first
+    np.testing.assert_allclose(opacity, original.opacities, atol=1e-7)
+    np.testing.assert_array_equal(vertex["rot_0"], original.quats[:, 0])  # w comes first
 
 
 def test_whole_numbers_that_floats_would_change_are_ints(tmp_path):
@@ -102,8 +104,8 @@ def test_whole_numbers_that_floats_would_change_are_ints(tmp_path):
     save_ply(some(3, source=source), tmp_path / "a.ply", np.array([2**24, 0, -1]))
     vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
     assert [vertex[name].dtype.kind for name in ("source", "label")] == ["i", "f"]
-    again, extra = load_ply(tmp_path / "a.ply")
-    assert torch.equal(again.source, source)
+    restored, extra = load_ply(tmp_path / "a.ply")
+    assert torch.equal(restored.source, source)
     assert extra["label"].tolist() == [2**24, 0, -1]
 
 
@@ -113,23 +115,23 @@ def test_whole_numbers_that_floats_would_change_are_ints(tmp_path):
 )
 def test_files_of_any_form_and_order_are_read(tmp_path, count, kind, form):
     data = columns(count=count)
-    again, extra = load_ply(write(tmp_path / "a.ply", data, kind, **form))
+    restored, extra = load_ply(write(tmp_path / "a.ply", data, kind, **form))
     stored = {name: values.astype(kind).astype(np.float64) for name, values in data.items()}
 
     def stack(names) -> np.ndarray:
         return np.stack([stored[name] for name in names], 1).astype(np.float32)
 
-    np.testing.assert_array_equal(again.means, stack("xyz"))
+    np.testing.assert_array_equal(restored.means, stack("xyz"))
     if count > 1:
         rest = stack(f"f_rest_{i}" for i in range(3 * (count - 1)))  # all of red first
-        np.testing.assert_array_equal(again.sh[:, 1:].mT.reshape(5, -1), rest)
-    assert all(tensor.is_contiguous() for tensor in (again.means, again.sh, again.quats))
-    np.testing.assert_allclose(again.scales[:, 2], np.exp(stored["scale_2"]), rtol=1e-6)
-    np.testing.assert_allclose(again.opacities, 1 / (1 + np.exp(-stored["opacity"])), rtol=1e-6)
+        np.testing.assert_array_equal(restored.sh[:, 1:].mT.reshape(5, -1), rest)
+    assert all(tensor.is_contiguous() for tensor in (restored.means, restored.sh, restored.quats))
+    np.testing.assert_allclose(restored.scales[:, 2], np.exp(stored["scale_2"]), rtol=1e-6)
+    np.testing.assert_allclose(restored.opacities, 1 / (1 + np.exp(-stored["opacity"])), rtol=1e-6)
     quats = stack(f"rot_{i}" for i in range(4))
     expected = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    np.testing.assert_allclose(again.quats, expected, atol=2e-7)
-    assert again.source.tolist() == [0, 1, 2, 3, 4] and again.features is None and extra == {}
+    np.testing.assert_allclose(restored.quats, expected, atol=2e-7)
+    assert restored.source.tolist() == [0, 1, 2, 3, 4] and restored.features is None and extra == {}
 
 
 def test_unknown_properties_are_kept_in_their_own_type(tmp_path):
@@ -140,18 +142,18 @@ def test_unknown_properties_are_kept_in_their_own_type(tmp_path):
         table[name] = values
     table["id"], table["nx"], table["source"] = [1, 2, 65535], 5, [0.5, 1, 2]
     PlyData([PlyElement.describe(table, "vertex")], byte_order=">").write(str(tmp_path / "a.ply"))
-    again, extra = load_ply(tmp_path / "a.ply")
+    restored, extra = load_ply(tmp_path / "a.ply")
     assert extra.keys() == {"id", "source"}  # half a pixel is no source
     assert extra["id"].dtype == np.dtype("=u2")
     assert extra["id"].tolist() == [1, 2, 65535]
     extra["id"][:] = 0  # apart from the file
-    assert again.source.tolist() == [0, 1, 2]
+    assert restored.source.tolist() == [0, 1, 2]
 
 
 def test_no_gaussians_make_a_file_without_vertices(tmp_path):
     save_ply(some(0, count=4), tmp_path / "a.ply", np.zeros(0, np.int32))
-    again, extra = load_ply(tmp_path / "a.ply")
-    assert (len(again), tuple(again.sh.shape)) == (0, (0, 4, 3))
+    restored, extra = load_ply(tmp_path / "a.ply")
+    assert (len(restored), tuple(restored.sh.shape)) == (0, (0, 4, 3))
     assert extra["label"].shape == (0,)
 
 
@@ -197,10 +199,10 @@ def test_a_file_trained_with_antialiasing_is_refused(tmp_path, comment):
 
 def test_what_is_no_whole_file_is_one_sentence(tmp_path):
     path = tmp_path / "a.ply"
-    whole = write(path, columns(3)).read_bytes()
+    complete = write(path, columns(3)).read_bytes()
     header = b"ply\nformat binary_little_endian 1.0\n"
     vast = b"ply\nformat ascii 1.0\nelement vertex 99999999999999\nend_header\n"
-    cut = [whole[:length] for length in (0, 30, len(whole) // 2, len(whole) - 30)]
+    cut = [complete[:length] for length in (0, 30, len(complete) // 2, len(complete) - 30)]
     for data, sentence in [
         *((data, "is not a whole .ply file") for data in (*cut, b"\x89PNG\r\n\x1a\n", vast)),
         (header + b"element face 0\nend_header\n", "has no element vertex, only face"),

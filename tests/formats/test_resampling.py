@@ -93,9 +93,9 @@ def test_depth_of_a_plane_is_exact(size, normal):
     depth = plane(full.camera, normal).astype(np.float32)
     view = View("a", full.camera, full.image, depth).resized(*size)
     truth = plane(view.camera, normal)
-    known = (view.depth > 0) & (truth > 0)
-    assert known.mean() > 0.95 * (truth > 0).mean()
-    assert np.abs(view.depth[known] / truth[known] - 1).max() < 1e-5
+    is_known = (view.depth > 0) & (truth > 0)
+    assert is_known.mean() > 0.95 * (truth > 0).mean()
+    assert np.abs(view.depth[is_known] / truth[is_known] - 1).max() < 1e-5
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -108,10 +108,10 @@ def test_depth_beside_steps_and_holes_is_of_one_surface(size):
     depth[20:25, 50:60] = 0
     view = View("a", full.camera, full.image, depth).resized(*size)
     surfaces = [plane(view.camera, n, 1e-3) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1))]
-    known = view.depth > 0
+    is_known = view.depth > 0
     off = np.min([np.abs(view.depth / np.where(s > 0, s, 99) - 1) for s in surfaces], 0)
-    assert off[known].max() < 1e-5
-    assert np.array_equal(known, view.shown.ids(depth > 0, *size))
+    assert off[is_known].max() < 1e-5
+    assert np.array_equal(is_known, view.shown.ids(depth > 0, *size))
 
 
 def test_depth_through_a_lens_is_that_of_the_surface():
@@ -131,18 +131,18 @@ def test_depth_through_a_lens_is_that_of_the_surface():
     view = straightened(replace(full, depth=bent.astype(np.float32), opaque=mask), maps)
     depth = view.depth
     truth = plane(full.camera, (0.3, 0.1, 1))
-    known = depth > 0
-    assert known.mean() > 0.8
-    assert abs((depth[known] / truth[known] - 1).mean()) < 1e-5
+    is_known = depth > 0
+    assert is_known.mean() > 0.8
+    assert abs((depth[is_known] / truth[is_known] - 1).mean()) < 1e-5
     straight = full.camera.rays()[..., 0] < 0.1
-    assert (view.opaque != straight)[known].mean() < 0.005
+    assert (view.opaque != straight)[is_known].mean() < 0.005
 
 
 def test_another_shape_is_refused_beyond_a_hundredth():
     photograph = Window.whole(988, 731)
     for size in [(988, 731), (494, 365), (994, 731), (1976, 1462), (4, 3)]:
         photograph.check_shape("a.png", *size)
-    said = r"a\.png: is \d+x\d+, of another shape than its photograph, 988x731"
+    pattern = r"a\.png: is \d+x\d+, of another shape than its photograph, 988x731"
     for size in [(1004, 731), (731, 988), (731, 731), (3, 4)]:
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=pattern):
             photograph.check_shape("a.png", *size)

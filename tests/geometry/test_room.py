@@ -104,8 +104,8 @@ def test_axes_of_found_cameras_are_not_taken_for_up(fixed):
         for camera in cameras
     ]
     assert off(find_room(turned, depths), near) < 1
-    given = find_room([replace(camera, estimated=None) for camera in turned], depths)
-    np.testing.assert_array_equal(given.up, [0, -1, 0])
+    of_given_cameras = find_room([replace(camera, estimated=None) for camera in turned], depths)
+    np.testing.assert_array_equal(of_given_cameras.up, [0, -1, 0])
 
 
 def test_without_a_floor_nothing_is_said_of_heights(room):

@@ -35,8 +35,8 @@ def test_a_sample_is_what_its_context_shows(room):
     first, second = room.context
     brighter = first.image.copy()
     brighter[0, 0, 0] ^= 1
-    others = [(second, first), (replace(first, image=brighter), second)]
-    assert len({room.content, *(replace(room, context=views).content for views in others)}) == 3
+    rest = [(second, first), (replace(first, image=brighter), second)]
+    assert len({room.content, *(replace(room, context=views).content for views in rest)}) == 3
     # The last digits of a camera change nothing that is drawn.
     moved = second.camera.c2w.copy()
     moved[0, 3] += 1e-15

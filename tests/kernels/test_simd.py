@@ -1,4 +1,4 @@
-"""What vectors in Numba functions promise beyond the arithmetic that rasterizing covers."""
+"""Vectors in Numba functions, beyond the arithmetic that tests of the rasterizer cover."""
 
 import numba
 import numpy as np

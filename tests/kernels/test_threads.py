@@ -1,4 +1,4 @@
-"""What networks say depends on numbers alone: not on threads, nor on where weights begin."""
+"""Outputs of networks do not depend on threads, nor on the alignment of weights."""
 
 import re
 import threading

@@ -54,14 +54,14 @@ def paint(
 ) -> None:
     """Colour a mask in place with a pattern in two colours."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
-    where = {
+    regions = {
         "plain": np.zeros((HEIGHT, WIDTH), bool),
         "striped": (y // 7) % 2 == 1,
         "checked": (y // 9 + x // 9) % 2 == 1,
         "dotted": (y % 14 - 7) ** 2 + (x % 14 - 7) ** 2 < 16,
     }[pattern]
     image[mask] = colour
-    image[mask & where] = second
+    image[mask & regions] = second
 
 
 def photograph(objects: list[tuple], seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -96,13 +96,13 @@ def bank_of(images: list[np.ndarray], ids: list[np.ndarray], encoder: Lexicon) -
 def find(
     text: str, ids: np.ndarray, bank: MemoryBank, encoder: Lexicon, **rules: Any
 ) -> QueryResult:
-    """What one text finds in an id map."""
-    seen = ObjectMap(ids, bank.ids)
-    return query.ask([text], seen, BankReader(bank, encoder), Rules(**rules))[0]
+    """Query one text in an id map."""
+    object_map = ObjectMap(ids, bank.ids)
+    return query.ask([text], object_map, BankReader(bank, encoder), Rules(**rules))[0]
 
 
 def segment(texts: list[str], ids: np.ndarray, bank: MemoryBank, encoder: Lexicon) -> np.ndarray:
-    """Which of some texts each object of an id map is."""
+    """Return the best of several texts for each object of an id map."""
     return query.segment(texts, ObjectMap(ids, bank.ids), BankReader(bank, encoder), Rules())
 
 

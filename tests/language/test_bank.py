@@ -35,11 +35,11 @@ def test_an_absent_view_is_marked_absent_and_never_scored(bank, lexicon):
 
 def same_bank(one, other):
     for field in fields(MemoryBank):
-        there, here = getattr(one, field.name), getattr(other, field.name)
-        assert (there is None) == (here is None)
-        if here is not None and field.name != "wholes":
-            assert there.dtype == here.dtype
-            np.testing.assert_array_equal(there, here)
+        left, right = getattr(one, field.name), getattr(other, field.name)
+        assert (left is None) == (right is None)
+        if right is not None and field.name != "wholes":
+            assert left.dtype == right.dtype
+            np.testing.assert_array_equal(left, right)
 
 
 def test_damage_is_refused_by_name(bank):
@@ -77,25 +77,25 @@ def test_views_maps_and_codes_must_agree(bank, lexicon):
 @pytest.fixture(scope="module")
 def pieces():
     """A red ball in quarters (ids 2 to 5; 5 in the first view only) and a blue one (7)."""
-    image, whole = photograph([(ball(90, 120, 40), RED), (ball(230, 120, 30), BLUE)])
-    y, x = np.mgrid[: whole.shape[0], : whole.shape[1]]
+    image, labels = photograph([(ball(90, 120, 40), RED), (ball(230, 120, 30), BLUE)])
+    y, x = np.mgrid[: labels.shape[0], : labels.shape[1]]
     quarter = 2 + (x > 90) + 2 * (y > 120)
-    first = np.where(whole == 1, quarter, np.where(whole == 2, 7, 0)).astype(np.int32)
+    first = np.where(labels == 1, quarter, np.where(labels == 2, 7, 0)).astype(np.int32)
     second = np.where(first == 5, 4, first)
     groups = np.array([[0, 0, 0, 0, 1], [1, 1, 0, 0, 2], [4, 4, 4, 4, 2]])
-    maps = LabelMaps(np.stack([first, second]), np.ones((2, *whole.shape), np.float32))
-    return [view_of(image), view_of(image)], maps, groups, (whole == 1)
+    maps = LabelMaps(np.stack([first, second]), np.ones((2, *labels.shape), np.float32))
+    return [view_of(image), view_of(image)], maps, groups, (labels == 1)
 
 
 def grouped_bank(pieces, lexicon, **changes):
     views, maps, groups, _ = pieces
     codes = np.linspace(0.1, 0.9, 15).reshape(5, 3)
-    given = {"groups": groups} | changes
-    return build_bank(views, maps, lexicon, codes, **given)
+    arrays = {"groups": groups} | changes
+    return build_bank(views, maps, lexicon, codes, **arrays)
 
 
 def test_arrays_round_trip(pieces, lexicon, tmp_path):
-    """What was stored in half precision is what was built, to the last bit."""
+    """Features that are stored in half precision equal the built ones, to the last bit."""
     views, maps, _, _ = pieces
     wholes = group_objects([SeenView(view) for view in views], maps).wholes
     bank = grouped_bank(pieces, lexicon, wholes=wholes)
@@ -104,18 +104,18 @@ def test_arrays_round_trip(pieces, lexicon, tmp_path):
     np.savez(tmp_path / "bank.npz", **arrays)
     with np.load(tmp_path / "bank.npz") as stored:
         assert stored["features"].dtype == stored["group_features"].dtype == np.float16
-        again = MemoryBank.from_arrays(dict(stored))
-    same_bank(again, bank)
+        restored = MemoryBank.from_arrays(dict(stored))
+    same_bank(restored, bank)
     for name, array in wholes.to_arrays().items():
-        np.testing.assert_array_equal(again.wholes.to_arrays()[name], array)
+        np.testing.assert_array_equal(restored.wholes.to_arrays()[name], array)
 
 
 def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
-    views, _, _, whole = pieces
+    views, _, _, labels = pieces
     bank = grouped_bank(pieces, lexicon)
     # Of the whole ball in two levels there is one group, and of a group of one object none.
     np.testing.assert_array_equal(bank.levels, [[5, 5, 5, 5, 4], [7, 7, 6, 6, 4], [5, 5, 5, 5, 4]])
-    expected = lexicon.encode_regions(views[0].image, whole[None])[0]
+    expected = lexicon.encode_regions(views[0].image, labels[None])[0]
     np.testing.assert_allclose(bank.group_features[0], [expected] * 2, atol=2**-11)
     features, present = bank.nodes
     assert features.shape[:2] == present.shape == (8, 2)
@@ -131,12 +131,12 @@ def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
 
 def test_groups_that_make_no_sense_are_refused(pieces, lexicon):
     bank = grouped_bank(pieces, lexicon)
-    beyond, others = bank.levels.copy(), bank.levels.copy()
-    beyond[0, 0], others[0, 0] = 8, 1
+    beyond, changed = bank.levels.copy(), bank.levels.copy()
+    beyond[0, 0], changed[0, 0] = 8, 1
     for changes, match in (
         ({"levels": None}, "go together"),
         ({"levels": beyond}, "one of the 3 groups, 5 to 7"),
-        ({"levels": others}, "own row"),
+        ({"levels": changed}, "own row"),
         ({"group_features": bank.group_features * 2}, "group 0 in view 0 has length 2"),
         ({"group_features": bank.group_features * np.float32(np.nan)}, "group 0 in view 0"),
     ):

@@ -75,8 +75,8 @@ def expected_crop(image, mask):
 def test_a_region_is_shown_on_a_black_square(i):
     image, mask = picture(), regions()[i]
     expected = expected_crop(image, mask)
-    found = region_crop(image, mask, len(expected), context=False)
-    assert np.array_equal(found, expected)
+    actual = region_crop(image, mask, len(expected), context=False)
+    assert np.array_equal(actual, expected)
     # Scaled to the double, every pixel lies between four, a quarter and three quarters from them.
     double = region_crop(image, mask, 2 * len(expected), context=False).astype(float)
     near = expected.astype(float)
@@ -97,16 +97,16 @@ def reference_regions(network, image, masks, context=False):
 
 def test_regions_are_what_transformers_says_in_float64(folder, clip, in_float64):
     image, masks = picture(), regions()
-    found = clip.encode_regions(image, masks)
-    assert found.dtype == np.float32 and found.shape == (6, WIDTH)
+    actual = clip.encode_regions(image, masks)
+    assert actual.dtype == np.float32 and actual.shape == (6, WIDTH)
     expected = reference_regions(in_float64, image, masks)
-    assert np.abs(found - expected).max() < NOISE
-    assert (found @ found.T).min() < 0.9  # not all alike
+    assert np.abs(actual - expected).max() < NOISE
+    assert (actual @ actual.T).min() < 0.9  # not all alike
     # With context, the mean of two pictures.
-    found = load_encoder("clip", model=folder, crops="context").encode_regions(image, masks)
+    actual = load_encoder("clip", model=folder, crops="context").encode_regions(image, masks)
     both = expected + reference_regions(in_float64, image, masks, context=True)
-    assert np.abs(found - both / np.linalg.norm(both, axis=1, keepdims=True)).max() < NOISE
-    assert np.abs(found - expected).max() > 0.01
+    assert np.abs(actual - both / np.linalg.norm(both, axis=1, keepdims=True)).max() < NOISE
+    assert np.abs(actual - expected).max() > 0.01
     # The temperature with which CLIP begins; the published ones end at 0.01.
     assert clip.soft == pytest.approx(0.07, abs=0.001)
 
@@ -116,8 +116,8 @@ TEXTS = ["red basket", "Red  BASKET", "things", "Pokémon 球 🎈", "it's 23.5%
 
 def test_texts_are_what_transformers_says_in_float64(clip, in_float64, folder):
     words = transformers.CLIPTokenizer.from_pretrained(folder, local_files_only=True)
-    found = clip.encode_text(TEXTS)
-    assert found.dtype == np.float32 and found.shape == (5, WIDTH)
+    actual = clip.encode_text(TEXTS)
+    assert actual.dtype == np.float32 and actual.shape == (5, WIDTH)
     # Padded to the full length with the token that ends texts, and with 0 as open_clip does.
     for pad in (words.eos_token_id, 0):
         ids = np.full((5, 77), pad)
@@ -127,16 +127,16 @@ def test_texts_are_what_transformers_says_in_float64(clip, in_float64, folder):
         with torch.no_grad():
             expected = in_float64.get_text_features(torch.from_numpy(ids)).pooler_output.numpy()
         expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-        assert np.abs(found - expected).max() < NOISE
-    assert np.array_equal(found[0], found[1])  # case and spaces do not matter
-    assert (found[1:] @ found[1:].T).min() < 0.9
+        assert np.abs(actual - expected).max() < NOISE
+    assert np.array_equal(actual[0], actual[1])  # case and spaces do not matter
+    assert (actual[1:] @ actual[1:].T).min() < 0.9
 
 
 def test_same_bytes_in_any_company(clip):
     image, masks = picture(), regions()
-    found = clip.encode_regions(image, masks)
-    assert np.array_equal(clip.encode_regions(image, masks[::-1])[::-1], found)
-    assert np.array_equal(clip.encode_regions(image, masks[4:5]), found[4:5])
+    actual = clip.encode_regions(image, masks)
+    assert np.array_equal(clip.encode_regions(image, masks[::-1])[::-1], actual)
+    assert np.array_equal(clip.encode_regions(image, masks[4:5]), actual[4:5])
     texts = clip.encode_text(TEXTS)
     assert np.array_equal(clip.encode_text(TEXTS[::-1])[::-1], texts)
     assert np.array_equal(clip.encode_text(TEXTS[2:3]), texts[2:3])
@@ -153,8 +153,8 @@ def test_same_bytes_in_any_company(clip):
 def test_batch_and_precision_change_rounding_alone(folder, clip, settings, least, most):
     other = load_encoder("clip", model=folder, **settings)
     assert other.network is clip.network  # loaded once
-    found, fine = (encoder.encode_regions(picture(), regions()) for encoder in (other, clip))
-    assert least < np.abs(found - fine).max() < most
+    actual, fine = (encoder.encode_regions(picture(), regions()) for encoder in (other, clip))
+    assert least < np.abs(actual - fine).max() < most
     assert np.array_equal(other.encode_text(TEXTS), clip.encode_text(TEXTS))
 
 
@@ -162,11 +162,11 @@ def test_batch_and_precision_change_rounding_alone(folder, clip, settings, least
 @given(text=st.text(max_size=40))
 def test_any_text_has_a_direction_or_is_refused(clip, text):
     try:
-        found = clip.encode_text([text])
+        actual = clip.encode_text([text])
     except InputError as error:
         assert "\n" not in str(error)
     else:
-        assert abs(np.linalg.norm(found) - 1) < NOISE
+        assert abs(np.linalg.norm(actual) - 1) < NOISE
 
 
 @pytest.mark.parametrize(
@@ -225,8 +225,8 @@ def test_a_tokenizer_is_beside_the_model_or_named(folder, clip, tmp_path):
     words = transformers.CLIPTokenizer.from_pretrained(folder, local_files_only=True)
     words.save_pretrained(alone)
     assert (alone / "tokenizer.json").is_file() and not (alone / "merges.txt").exists()
-    found = load_encoder("clip", model=alone).encode_text(TEXTS)
-    assert np.array_equal(found, clip.encode_text(TEXTS))
+    actual = load_encoder("clip", model=alone).encode_text(TEXTS)
+    assert np.array_equal(actual, clip.encode_text(TEXTS))
     clip_model(400).save_pretrained(tmp_path / "other")
     with pytest.raises(InputError, match="give the tokenizer of this model"):
         load_encoder("clip", model=tmp_path / "other", tokenizer=folder)
@@ -249,8 +249,8 @@ def test_configurations_from_before_the_end_token_was_a_setting(folder, clip, tm
     config = json.loads((folder / "config.json").read_text())
     config["text_config"]["eos_token_id"] = 2
     (tmp_path / "model" / "config.json").write_text(json.dumps(config))
-    found = load_encoder("clip", model=tmp_path / "model").encode_text(TEXTS)
-    assert np.array_equal(found, clip.encode_text(TEXTS))
+    actual = load_encoder("clip", model=tmp_path / "model").encode_text(TEXTS)
+    assert np.array_equal(actual, clip.encode_text(TEXTS))
 
 
 def test_a_model_is_known_by_what_it_is_read_with(folder, tmp_path):

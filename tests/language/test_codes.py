@@ -57,9 +57,9 @@ def maps_of(n: int) -> LabelMaps:
 def test_every_strategy_gives_every_object_a_code_of_its_own(name, n):
     maps = maps_of(n)
     assert len(maps.ids) == n
-    codes, again = (load_codes(name)(maps, np.random.default_rng(4)) for _ in range(2))
+    codes, repeated = (load_codes(name)(maps, np.random.default_rng(4)) for _ in range(2))
     assert codes.dtype == np.float32
-    assert codes.tobytes() == again.tobytes()
+    assert codes.tobytes() == repeated.tobytes()
     assert codes.shape == (n, 3)
     assert len(np.unique(codes, axis=0)) == n
     assert 0 <= codes.min() <= codes.max() <= 1
@@ -80,7 +80,7 @@ def cells(n: int, seed: int) -> LabelMaps:
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_a_third_code_is_read_if_and_only_if_it_is_in_the_ball(seed):
-    """What the placement rests on, tried with 200 mixtures of two codes."""
+    """The assumption of the placement, tested with 200 mixtures of two codes."""
     rng = np.random.default_rng(seed)
     a, b, c = codes = rng.random((3, 3))
     far, radius = np.abs((a + b) / 2 - c).sum(), np.abs(a - b).sum() / 2
@@ -99,9 +99,9 @@ def test_neighbours_are_counted_near_and_through_what_is_not_labelled():
     by_hand = np.zeros(3)
     for gap in (1, 2, 4, 8):
         for u in range(9 - gap):
-            seen = {labels[0, u], labels[0, u + gap]}
+            labels_of_pair = {labels[0, u], labels[0, u + gap]}
             for k, pair in enumerate(({5, 8}, {5, 11}, {8, 11})):
-                by_hand[k] += (seen == pair) / gap**2
+                by_hand[k] += (labels_of_pair == pair) / gap**2
     np.testing.assert_allclose(pairs.weights, by_hand / by_hand.sum())
 
 
@@ -131,30 +131,30 @@ def test_fewer_mixtures_read_as_a_third_object_than_with_the_grid():
     assert ours <= 0.3 * np.mean(grids)
 
 
-def plain_annealing(points, taken, pairs, weights, moves):
+def plain_annealing(points, assignment, pairs, weights, moves):
     """Float64, all codes against all balls for every move."""
-    taken = taken.copy()
+    assignment = assignment.copy()
     weights = weights / weights.sum()
 
     def crowding():
-        a, b = points[taken[pairs[:, 0]]], points[taken[pairs[:, 1]]]
+        a, b = points[assignment[pairs[:, 0]]], points[assignment[pairs[:, 1]]]
         reach = 1.2 * np.abs(a - b).sum(1) / 2
-        far = np.abs((a + b)[:, None] / 2 - points[taken]).sum(-1)
+        far = np.abs((a + b)[:, None] / 2 - points[assignment]).sum(-1)
         return (weights * np.maximum(1 - far / reach[:, None], 0).sum(1)).sum()
 
     now = start = crowding()
     for step, (i, target, luck) in enumerate(moves):
-        moved = taken.copy()
-        moved[taken == target] = taken[i]
+        moved = assignment.copy()
+        moved[assignment == target] = assignment[i]
         moved[i] = target
-        taken, before = moved, taken
+        assignment, before = moved, assignment
         heat = start * 1e-3 * 1e-3 ** (step / len(moves))
         worse = crowding() - now
         if worse > 0 and luck >= np.exp(-worse / heat):
-            taken = before
+            assignment = before
         else:
             now += worse
-    return taken
+    return assignment
 
 
 @pytest.mark.parametrize("n", [7, 12])
@@ -164,14 +164,14 @@ def test_annealing_takes_the_moves_of_a_plain_one(n):
     pairs = np.argwhere(np.triu(rng.random((n, n)) < 0.5, 1))
     weights = rng.random(len(pairs))
     weights /= weights.sum()
-    taken = rng.permutation(len(points))[:n]
+    assignment = rng.permutation(len(points))[:n]
     draws = rng.integers(n, size=moves), rng.integers(len(points), size=moves), rng.random(moves)
     plain = plain_annealing(
-        points.astype(float), taken, pairs, weights, list(zip(*draws, strict=True))
+        points.astype(float), assignment, pairs, weights, list(zip(*draws, strict=True))
     )
-    assert (plain != taken).any()
-    _anneal(points, taken, pairs, weights.astype(np.float32), *draws)
-    np.testing.assert_array_equal(taken, plain)
+    assert (plain != assignment).any()
+    _anneal(points, assignment, pairs, weights.astype(np.float32), *draws)
+    np.testing.assert_array_equal(assignment, plain)
 
 
 def test_objects_that_nothing_touches_get_codes_too():

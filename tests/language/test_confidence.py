@@ -41,8 +41,8 @@ APART = np.sqrt(2 * 0.02**2 / 3) + STD_OFFSET  # deviation of 0.02, 0, -0.02
 def test_signs_are_evidence_deviations_above_the_rest_and_parts(
     gaps, selected, measurements, parts, expected
 ):
-    taken = np.arange(len(gaps)) < selected
-    assert signs(np.array(gaps), taken, measurements, parts) == pytest.approx(expected)
+    chosen = np.arange(len(gaps)) < selected
+    assert signs(np.array(gaps), chosen, measurements, parts) == pytest.approx(expected)
 
 
 @given(small, small, st.floats(-5, 5), st.integers(1, 20), st.integers(1, 30), st.integers(0, 30))
@@ -51,16 +51,16 @@ def test_curves_rise_with_the_gap_fall_with_the_parts_and_are_probabilities(
 ):
     low, high = (gap * measurements for gap in sorted((one, other)))
     for curve in (CALIBRATION.mask, CALIBRATION.point):
-        few, many = np.log(parts), np.log(parts + more)
-        assert 0 < curve(Signs(low, out, few)) <= curve(Signs(high, out, few)) < 1
-        assert curve(Signs(low, out, many)) <= curve(Signs(low, out, few))
+        log_parts, log_more_parts = np.log(parts), np.log(parts + more)
+        assert 0 < curve(Signs(low, out, log_parts)) <= curve(Signs(high, out, log_parts)) < 1
+        assert curve(Signs(low, out, log_more_parts)) <= curve(Signs(low, out, log_parts))
 
 
 def test_the_lexicon_counts_what_a_text_asks_for():
     lexicon = Lexicon()
     alone = lexicon.understand("chair").measurements
-    asked = np.count_nonzero(lexicon.encode_text(["chair"])[0][:-1])
-    assert alone == asked > 1
+    measurements = np.count_nonzero(lexicon.encode_text(["chair"])[0][:-1])
+    assert alone == measurements > 1
     assert lexicon.understand("red chair").measurements == alone + 1
     assert lexicon.understand("the red chairs").measurements == alone + 1
 

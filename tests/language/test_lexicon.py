@@ -187,17 +187,21 @@ def test_a_text_that_cannot_be_used_is_refused(lexicon, texts, sentence):
     ],
 )
 def test_of_what_nothing_is_known_nothing_is_told(lexicon, text, by_class, sentence):
-    told = lexicon.understand(text, by_class).untold
-    assert told.startswith(sentence) and bool(told) == bool(sentence)
+    reason = lexicon.understand(text, by_class).untold
+    assert reason.startswith(sentence) and bool(reason) == bool(sentence)
 
 
 def test_how_a_word_is_known_is_explained():
-    known, how = VOCABULARY.explain("red radiator")
-    assert known and "by its look" in how and "by the classifier (2 classes of ImageNet)" in how
+    is_known, reason = VOCABULARY.explain("red radiator")
+    assert (
+        is_known
+        and "by its look" in reason
+        and "by the classifier (2 classes of ImageNet)" in reason
+    )
     alone = VOCABULARY.explain("abacus")[1]
     assert alone == "abacus, class: by the classifier (1 class of ImageNet)"
-    known, how = VOCABULARY.explain("yelow chair")
-    assert not known and how.endswith("; yelow is not known, did you mean 'yellow'?")
+    is_known, reason = VOCABULARY.explain("yelow chair")
+    assert not is_known and reason.endswith("; yelow is not known, did you mean 'yellow'?")
     assert VOCABULARY.explain("not red")[1].startswith("refused: ")
 
 
@@ -342,11 +346,11 @@ def test_a_picture_is_varied_where_a_pattern_is_not(lexicon):
     rng = np.random.default_rng(7)
     scene = np.repeat(np.repeat(rng.integers(0, 256, (7, 9, 3), dtype=np.uint8), 10, 0), 10, 1)
     image[20:90, 20:110] = scene
-    others = []
+    features = []
     for k, pattern in enumerate(["plain", "striped", "checked"]):
-        others.append(np.roll(frame, 100 * k + 100, 1) if k < 2 else np.roll(frame, 110, 0))
-        paint(image, others[-1], RED, pattern)
-    picture, *rest = scores(lexicon, "picture", image, [frame, *others])
+        features.append(np.roll(frame, 100 * k + 100, 1) if k < 2 else np.roll(frame, 110, 0))
+        paint(image, features[-1], RED, pattern)
+    picture, *rest = scores(lexicon, "picture", image, [frame, *features])
     assert picture > max(0, *rest)
 
 
@@ -385,12 +389,12 @@ def test_the_room_tells_a_table_top_from_a_board_on_the_wall(lexicon):
     rows, columns = np.mgrid[:HEIGHT, :WIDTH] / HEIGHT
     points = np.stack([columns, rows, 0 * rows], -1).astype(np.float32)
     masks = np.array(boards)
-    seen = lexicon.encode_regions(image, masks, Surroundings(points, height, level))
+    features = lexicon.encode_regions(image, masks, Surroundings(points, height, level))
     unseen = lexicon.encode_regions(image, masks)
     unknown = Surroundings(*(np.full_like(a, np.nan) for a in (points, height, level)))
     table, hung = lexicon.encode_text(["table", "picture on the wall"])
-    gain = (seen - unseen) @ table
-    assert gain[1] > gain[0] and (seen @ hung)[0] > (seen @ hung)[1]
+    gain = (features - unseen) @ table
+    assert gain[1] > gain[0] and (features @ hung)[0] > (features @ hung)[1]
     np.testing.assert_array_equal(lexicon.encode_regions(image, masks, unknown), unseen)
 
 

@@ -19,21 +19,21 @@ def test_values_spread_by_id(n, dtype):
     n = min(n, 200) if dtype is np.uint8 else n
     ids = np.sort(rng.choice(np.arange(1, min(top, 10 * n) + 1), n, replace=False)).astype(np.int32)
     ids[-1] = top if top > ids[-1] else ids[-1]  # a sparse one, far beyond any table
-    shown = np.append(0, ids)[rng.integers(0, n + 1, (40, 50))].astype(dtype)
-    it = ObjectMap(shown, ids)
+    labels = np.append(0, ids)[rng.integers(0, n + 1, (40, 50))].astype(dtype)
+    it = ObjectMap(labels, ids)
     np.testing.assert_array_equal(
-        it.areas, [(shown == i).sum() for i in ids[:50]] + list(it.areas[50:])
+        it.areas, [(labels == i).sum() for i in ids[:50]] + list(it.areas[50:])
     )
-    assert it.areas.sum() == (shown > 0).sum()
+    assert it.areas.sum() == (labels > 0).sum()
     values = rng.random(n).astype(np.float32)
-    place = np.searchsorted(ids, shown)
-    expected = np.where(shown > 0, values[np.minimum(place, n - 1)], np.float32(-1))
+    place = np.searchsorted(ids, labels)
+    expected = np.where(labels > 0, values[np.minimum(place, n - 1)], np.float32(-1))
     got = it.spread(values, -1)
     assert got.dtype == np.float32
     np.testing.assert_array_equal(got, expected)
-    mask = rng.random(shown.shape) < 0.3
+    mask = rng.random(labels.shape) < 0.3
     np.testing.assert_array_equal(
-        it.areas_within(mask)[:50], [((shown == i) & mask).sum() for i in ids[:50]]
+        it.areas_within(mask)[:50], [((labels == i) & mask).sum() for i in ids[:50]]
     )
 
 
@@ -59,18 +59,18 @@ def test_a_map_of_other_objects_is_refused(shown, sentence):
 )
 def test_parts_are_the_regions_of_the_mask_where_objects_are_in_one_piece(image, seed):
     """Against SciPy's labels of pixels: a pixel touches four others."""
-    shown = np.zeros(image.shape, np.int32)
+    labels = np.zeros(image.shape, np.int32)
     for value in (1, 2, 3):
         pieces, _ = ndimage.label(image == value)
-        shown += np.where(pieces > 0, pieces + shown.max(), 0).astype(np.int32)
-    ids = np.arange(1, shown.max() + 3, dtype=np.int32)  # two that the image does not show
-    it = ObjectMap(shown, ids)
-    taken = np.random.default_rng(seed).random(len(ids)) < 0.6
-    assert it.parts(taken) == ndimage.label(it.spread(taken))[1]
+        labels += np.where(pieces > 0, pieces + labels.max(), 0).astype(np.int32)
+    ids = np.arange(1, labels.max() + 3, dtype=np.int32)  # two that the image does not show
+    it = ObjectMap(labels, ids)
+    selected = np.random.default_rng(seed).random(len(ids)) < 0.6
+    assert it.parts(selected) == ndimage.label(it.spread(selected))[1]
     low, high = it.touching.T
     assert (low < high).all() and len(np.unique(it.touching, axis=0)) == len(it.touching)
-    apart = ObjectMap(np.array([[1, 0, 1, 2]], np.int32), np.array([1, 2], np.int32))
-    assert apart.parts(np.array([True, False])) == 1  # an object in two pieces
+    separate = ObjectMap(np.array([[1, 0, 1, 2]], np.int32), np.array([1, 2], np.int32))
+    assert separate.parts(np.array([True, False])) == 1  # an object in two pieces
 
 
 @settings(max_examples=150, deadline=None)

@@ -40,7 +40,7 @@ RENAMES = (
 
 
 def as_open_clip(model) -> dict[str, torch.Tensor]:
-    """What open_clip would save of the same model."""
+    """Convert a model to the tensors that open_clip saves."""
     theirs = {}
     for name, tensor in model.state_dict().items():
         for ours, new in RENAMES:
@@ -53,7 +53,7 @@ def as_open_clip(model) -> dict[str, torch.Tensor]:
 
 
 def answers(model) -> list[torch.Tensor]:
-    """What a model says to fixed pictures and tokens, in its own precision."""
+    """Return the outputs of a model for fixed pictures and tokens, in its precision."""
     dtype = model.logit_scale.dtype
     vision, text = model.config.vision_config, model.config.text_config
     state = torch.Generator().manual_seed(3)
@@ -80,9 +80,9 @@ SMALL = {"hidden_size": 64, "num_attention_heads": 1, "num_hidden_layers": 1}
 )
 def test_the_converted_model_says_the_same(sizes):
     model = clip_model(548, **sizes)
-    found = convert(as_open_clip(model), {}, "x").eval()
+    actual = convert(as_open_clip(model), {}, "x").eval()
     # The same operations on the same numbers in the same order.
-    for ours, theirs in zip(answers(found), answers(model), strict=True):
+    for ours, theirs in zip(answers(actual), answers(model), strict=True):
         assert torch.equal(ours, theirs)
         assert ours.dtype == torch.float32 and ours.std() > 0.1
 
@@ -102,8 +102,8 @@ HEADS = {"vision_cfg": {"head_width": 32, "layers": 2}, "text_cfg": {"heads": 1}
 )
 def test_activation_and_heads_are_those_of_the_configuration(sizes, config, same):
     model = clip_model(548, **sizes)
-    found = convert(as_open_clip(model), config, "x").eval()
-    assert torch.equal(answers(found)[0], answers(model)[0]) == same
+    actual = convert(as_open_clip(model), config, "x").eval()
+    assert torch.equal(answers(actual)[0], answers(model)[0]) == same
 
 
 CONFIG = {
@@ -157,7 +157,7 @@ def regions():
     return rng.integers(0, 256, (40, 50, 3), np.uint8), masks
 
 
-def said(encoder):
+def encode_all(encoder):
     return np.concatenate([encoder.encode_regions(*regions()), encoder.encode_text(["red ball"])])
 
 
@@ -166,7 +166,7 @@ def expected(model, tokens, tmp_path_factory):
     folder = tmp_path_factory.mktemp("folder")
     shutil.copytree(tokens, folder, dirs_exist_ok=True)
     model.save_pretrained(folder)
-    return said(load_encoder("clip", model=folder))
+    return encode_all(load_encoder("clip", model=folder))
 
 
 @pytest.mark.parametrize("name", ["clip.safetensors", "epoch_7.pt"])
@@ -176,23 +176,23 @@ def test_a_file_is_converted(tensors, tokens, expected, tmp_path, name):
         state = {f"module.{key}": tensor for key, tensor in tensors.items()}
         content = {"epoch": 7, "name": "run", "state_dict": state, "optimizer": {"lr": [0.1]}}
     file = save(content, beside(tokens, tmp_path) / name)
-    assert np.array_equal(said(load_encoder("clip", model=file)), expected)
+    assert np.array_equal(encode_all(load_encoder("clip", model=file)), expected)
 
 
 def test_weights_in_half_precision_are_read_as_they_are(tensors, model, tokens, tmp_path):
     halves = {name: tensor.half() for name, tensor in tensors.items()}
-    found = load_encoder("clip", model=save(halves, beside(tokens, tmp_path) / "half.pt"))
-    assert found.network.dtype == torch.float32
+    actual = load_encoder("clip", model=save(halves, beside(tokens, tmp_path) / "half.pt"))
+    assert actual.network.dtype == torch.float32
     expected = model.visual_projection.weight.half().float()
-    assert torch.equal(found.network.visual_projection.weight, expected)
+    assert torch.equal(actual.network.visual_projection.weight, expected)
 
 
 @pytest.mark.parametrize("name", ["open_clip_model.safetensors", "open_clip_pytorch_model.bin"])
 def test_a_folder_says_how_colours_are_normalised(tensors, tokens, expected, tmp_path, name):
     save(tensors, (folder := beside(tokens, tmp_path, CONFIG)) / name)
-    found = said(load_encoder("clip", model=folder))
-    assert np.array_equal(found[3:], expected[3:])
-    assert np.abs(found[:3] - expected[:3]).max() > 0.01
+    actual = encode_all(load_encoder("clip", model=folder))
+    assert np.array_equal(actual[3:], expected[3:])
+    assert np.abs(actual[:3] - expected[:3]).max() > 0.01
 
 
 def test_tensors_of_openais_checkpoints_have_sizes_and_quick_gelu(tensors, tokens, tmp_path):
@@ -205,10 +205,10 @@ def test_tensors_of_openais_checkpoints_have_sizes_and_quick_gelu(tensors, token
 
 def test_a_checkpoint_is_known_by_content_and_not_by_name(tensors, tokens, tmp_path):
     first = save(tensors, beside(tokens, tmp_path / "a") / "first.safetensors")
-    again = save(tensors, beside(tokens, tmp_path / "b") / "again.safetensors")
-    assert model_digest(first) == model_digest(again)
+    copy = save(tensors, beside(tokens, tmp_path / "b") / "again.safetensors")
+    assert model_digest(first) == model_digest(copy)
     beside(tokens, tmp_path / "b", CONFIG)
-    assert model_digest(first) != model_digest(again)
+    assert model_digest(first) != model_digest(copy)
 
 
 @pytest.mark.parametrize(

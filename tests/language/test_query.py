@@ -123,24 +123,24 @@ def test_many_texts_at_once_are_answered_as_one_by_one(scene, lexicon):
 
 def test_the_share_says_how_far_behind_the_best_an_object_may_be(scene, lexicon):
     ids, bank = scene
-    found = [
+    actual = [
         {i for i, _ in find("red", ids, bank, lexicon, share=share).objects}
         for share in (1.0, 0.9, 0.5, 0.01)
     ]
-    assert len(found[0]) == 1
-    for fewer, more in pairwise(found):
-        assert fewer <= more
+    assert len(actual[0]) == 1
+    for fewer, extra in pairwise(actual):
+        assert fewer <= extra
     # Nothing that fits worse than "object" is taken, however small the share.
-    assert found[-1] == {1, 2, 4}
+    assert actual[-1] == {1, 2, 4}
     assert min(score for _, score in find("red", ids, bank, lexicon, share=0.01).objects) > 0.5
 
 
 def test_canonical_phrases_by_name_by_list_and_of_ones_own(scene, lexicon):
     ids, bank = scene
-    own = find("red", ids, bank, lexicon)
+    of_own_phrases = find("red", ids, bank, lexicon)
     for same in ("lerf", "object, things,stuff , texture", ["object"], lexicon.canonical):
         hit = find("red", ids, bank, lexicon, canonical=same)
-        np.testing.assert_array_equal(hit.scores, own.scores)
+        np.testing.assert_array_equal(hit.scores, of_own_phrases.scores)
     # Against a rival that fits the same things better, little is left.
     against = find("red", ids, bank, lexicon, canonical=["object", "red ball"])
     texts = lexicon.encode_text(["red"]), lexicon.encode_text(["object", "red ball"])
@@ -154,9 +154,10 @@ def test_one_reader_keeps_what_absent_views_say_apart(lexicon):
     image, ids = photograph([(ball(60, 120, 20), GREEN), (ball(160, 120, 20), RED)])
     alone = np.where(ids == 2, 0, ids)
     bank = bank_of([image, image], [ids, alone], lexicon)
-    reader, seen = BankReader(bank, lexicon), ObjectMap(ids, bank.ids)
+    reader, object_map = BankReader(bank, lexicon), ObjectMap(ids, bank.ids)
     skip, zero = (
-        ask(["green"], seen, reader, Rules(absent=absent))[0].scores for absent in ("skip", "zero")
+        ask(["green"], object_map, reader, Rules(absent=absent))[0].scores
+        for absent in ("skip", "zero")
     )
     assert skip[1] < 0.5 == zero[1] and skip[0] == zero[0] > 0.5
 
@@ -174,23 +175,23 @@ def test_every_object_that_ties_for_the_best_is_found(lexicon):
 
 def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
     """In quarters it looks like no ball, and cones beside it are no better."""
-    image, whole = photograph(
+    image, labels = photograph(
         [(ball(80, 120, 42), BLUE), (cone(200, 80, 34), BLUE), (box(260, 180, 30), BLUE)]
     )
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     quarter = 4 + (x > 80) + 2 * (y > 120)
-    ids = np.where(whole == 1, quarter, whole).astype(np.int32)
+    ids = np.where(labels == 1, quarter, labels).astype(np.int32)
     maps = LabelMaps(ids[None], np.ones((1, HEIGHT, WIDTH), np.float32))
     codes = grid_codes(6, np.random.default_rng(0))
     groups = np.array([[0, 1, 2, 2, 2, 2]])
     bank = build_bank([view_of(image)], maps, lexicon, codes, groups=groups)
     hit = find("blue ball", ids, bank, lexicon)
-    np.testing.assert_array_equal(hit.mask, whole == 1)
-    assert whole[hit.point[1], hit.point[0]] == 1
+    np.testing.assert_array_equal(hit.mask, labels == 1)
+    assert labels[hit.point[1], hit.point[0]] == 1
     answers = segment(["box", "ball", "cone"], ids, bank, lexicon)
-    np.testing.assert_array_equal(answers[whole > 0], np.array([0, 2, 3, 1])[whole[whole > 0]])
+    np.testing.assert_array_equal(answers[labels > 0], np.array([0, 2, 3, 1])[labels[labels > 0]])
     alone = find("blue ball", ids, replace(bank, levels=None, group_features=None), lexicon)
-    assert (alone.mask != (whole == 1)).any()
+    assert (alone.mask != (labels == 1)).any()
 
 
 @pytest.fixture
@@ -204,7 +205,7 @@ def told_by_gaps(lexicon):
     basis, _ = np.linalg.qr(np.stack([*rivals, red, np.arange(len(red))], 1))
     along, across = basis[:, -2] * np.sign(basis[:, -2] @ red), basis[:, -1]
 
-    def told(*gaps: float, hidden: tuple[int, ...] = ()):
+    def query_with_gaps(*gaps: float, hidden: tuple[int, ...] = ()):
         share = np.array(gaps)[:, None] / (along @ red)
         features = (share * along + np.sqrt(1 - share**2) * across).astype(np.float32)[:, None]
         numbers = np.arange(1, len(gaps) + 1, dtype=np.int32)
@@ -215,7 +216,7 @@ def told_by_gaps(lexicon):
         hit = find("red", ids, bank, lexicon)
         return [number for number, _ in hit.objects], int(ids[hit.point[1], hit.point[0]])
 
-    return told
+    return query_with_gaps
 
 
 def test_what_is_about_as_good_as_the_best_is_taken_with_it_by_numbers(told_by_gaps):
@@ -244,8 +245,8 @@ def test_an_answer_says_how_sure_it_is(scene, lexicon):
     (y1, x1), (y4, x4) = (np.argwhere(ids == ball).mean(0).astype(int) for ball in (1, 4))
     joined[y1, min(x1, x4) : max(x1, x4) + 1] = 1
     joined[min(y1, y4) : max(y1, y4) + 1, x4] = 1
-    apart, touching = (find("red ball", shown, bank, lexicon) for shown in (ids, joined))
-    assert apart.confidence.mask < touching.confidence.mask
+    separate, touching = (find("red ball", labels, bank, lexicon) for labels in (ids, joined))
+    assert separate.confidence.mask < touching.confidence.mask
 
 
 def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon):

@@ -29,8 +29,8 @@ def literal(features, present, queries, canonical, temperature):
                     / (np.exp(temperature * view @ query) + np.exp(temperature * view @ canon))
                     for canon in canonical
                 )
-                for view, held in zip(views, present[n], strict=True)
-                if held
+                for view, contents in zip(views, present[n], strict=True)
+                if contents
             ]
             out[q, n] = max(scores, default=0.0)
     return out
@@ -66,8 +66,8 @@ def test_equal_objects_tie_to_the_last_bit_wherever_they_stand(case):
     order = np.random.default_rng(1).permutation(len(features))
     once = Scorer(features, present, canonical).gaps(queries)
     longer = (np.concatenate([array[:7], array[order]]) for array in (features, present))
-    again = Scorer(*longer, canonical).gaps(queries[::-1])
-    np.testing.assert_array_equal(again[::-1, 7:], once[:, order])
+    repeated = Scorer(*longer, canonical).gaps(queries[::-1])
+    np.testing.assert_array_equal(repeated[::-1, 7:], once[:, order])
 
 
 def test_an_object_in_no_view_scores_zero_and_an_absent_view_never_helps(case):
@@ -92,8 +92,8 @@ def test_invariants(seed, temperature):
     assert ((scores >= 0) & (scores <= 1)).all()
     order = np.argsort(gaps, axis=1, kind="stable")
     assert (np.diff(np.take_along_axis(scores, order, 1), axis=1) >= 0).all()
-    seen = np.isfinite(gaps)
-    np.testing.assert_array_equal(scores[seen] > 0.5, gaps[seen] > 0)
+    visible = np.isfinite(gaps)
+    np.testing.assert_array_equal(scores[visible] > 0.5, gaps[visible] > 0)
     fewer = relevancy(features, present, queries, canonical[:1], temperature)
     one_view = relevancy(features, present & [True, False], queries, canonical, temperature)
     assert (fewer >= scores).all() and (one_view <= scores).all()
@@ -104,9 +104,9 @@ def test_a_zero_vector_lifts_an_object_with_an_absent_view_to_even(case):
     skip, zero = (
         relevancy(features, present, queries, canonical, absent=how) for how in ("skip", "zero")
     )
-    whole = present.all(1)
-    np.testing.assert_array_equal(zero[:, whole], skip[:, whole])
-    np.testing.assert_array_equal(zero[:, ~whole], np.maximum(skip, 0.5)[:, ~whole])
+    in_all_views = present.all(1)
+    np.testing.assert_array_equal(zero[:, in_all_views], skip[:, in_all_views])
+    np.testing.assert_array_equal(zero[:, ~in_all_views], np.maximum(skip, 0.5)[:, ~in_all_views])
     # The paper's bank, literally: a zero vector has cosine 0 with everything.
     literal_zero = literal(features * present[..., None], np.ones_like(present), *case[2:], 10)
     np.testing.assert_allclose(zero, literal_zero, rtol=1e-14)
@@ -169,8 +169,8 @@ def test_of_two_leads_the_greater_by_so_much_counts_e_times_as_much(soft):
     axes = np.eye(4)
     leads = np.array([0.30, 0.30 - (soft or 0.05)])
     features = leads[:, None] * axes[0] + np.sqrt(1 - leads**2)[:, None] * axes[2]
-    given = {"levels": np.array([[1]])} | ({"soft": soft} if soft else {})
-    scorer = Scorer(features[:, None], np.ones((2, 1), bool), axes[1:2], **given)
+    options = {"levels": np.array([[1]])} | ({"soft": soft} if soft else {})
+    scorer = Scorer(features[:, None], np.ones((2, 1), bool), axes[1:2], **options)
     expected = (np.e * leads[0] + leads[1]) / (np.e + 1)
     assert scorer.gaps(axes[:1])[0, 0] == pytest.approx(expected, abs=1e-12)
 

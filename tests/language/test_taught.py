@@ -45,9 +45,9 @@ def scene():
     for x in (0, 6):
         objects = [(ball(60 + x, 80, 35), RED), (box(170 + x, 70, 30), BLUE, "striped")]
         objects += [(cone(250 + x, 160, 35), GREEN), (ball(90 + x, 180, 30), GREY)]
-        image, shown = photograph(objects, seed=x)
+        image, labels = photograph(objects, seed=x)
         images.append(image)
-        ids.append(shown)
+        ids.append(labels)
     encoder = Lexicon()
     return ids[0], bank_of(images, ids, encoder), encoder
 
@@ -62,41 +62,41 @@ def reader(scene, *lessons: int, word: str = "zorp") -> BankReader:
     _, bank, encoder = scene
     words = TaughtWords()
     for row in lessons:
-        others = np.stack([feature(bank, other) for other in range(len(bank)) if other != row])
-        words = words.with_example(word, feature(bank, row), others, THIS)
+        rivals = np.stack([feature(bank, rival) for rival in range(len(bank)) if rival != row])
+        words = words.with_example(word, feature(bank, row), rivals, THIS)
     return BankReader(bank, encoder, words)
 
 
-def found(scene, reader: BankReader, text: str = "zorp", **rules):
+def ask_once(scene, reader: BankReader, text: str = "zorp", **rules):
     ids, bank, _ = scene
     return ask([text], ObjectMap(ids, bank.ids), reader, Rules(**rules))[0]
 
 
 @pytest.mark.parametrize("row", range(4))
 def test_a_word_the_encoder_does_not_know_finds_what_it_was_taught_on(scene, row):
-    hit = found(scene, reader(scene, row), "  ZORP ")
+    hit = ask_once(scene, reader(scene, row), "  ZORP ")
     assert [id_ for id_, _ in hit.objects] == [row + 1]
     assert hit.score > 0.6
     assert hit.kind == "taught" and hit.understood.examples == 1
-    others = np.delete(hit.scores, row)
-    assert others.max() < 0.5
+    other_scores = np.delete(hit.scores, row)
+    assert other_scores.max() < 0.5
 
 
 def test_the_taught_meaning_wins_over_a_known_word_and_says_so(scene):
-    known = found(scene, reader(scene), "blue")
-    assert known.kind == "known" and known.objects[0][0] == 2
-    hit = found(scene, reader(scene, 2, word="blue"), "Blue")
+    of_known_word = ask_once(scene, reader(scene), "blue")
+    assert of_known_word.kind == "known" and of_known_word.objects[0][0] == 2
+    hit = ask_once(scene, reader(scene, 2, word="blue"), "Blue")
     assert [id_ for id_, _ in hit.objects] == [3]
     assert (hit.kind, hit.understood.instead_of) == ("taught", "blue")
-    assert found(scene, reader(scene, 2)).understood.instead_of == ""
-    assert found(scene, reader(scene), "blue zorp").kind == "unknown"
+    assert ask_once(scene, reader(scene, 2)).understood.instead_of == ""
+    assert ask_once(scene, reader(scene), "blue zorp").kind == "unknown"
 
 
 def test_taught_and_other_texts_in_one_question_answer_as_alone(scene):
-    asked = reader(scene, 3)
-    together = asked.gaps(["red", "zorp", "green cone"], Rules())
+    taught_reader = reader(scene, 3)
+    together = taught_reader.gaps(["red", "zorp", "green cone"], Rules())
     for text, gaps in zip(["red", "zorp", "green cone"], together, strict=True):
-        np.testing.assert_array_equal(asked.gaps([text], Rules())[0], gaps)
+        np.testing.assert_array_equal(taught_reader.gaps([text], Rules())[0], gaps)
 
 
 @given(st.lists(st.integers(0, 5), max_size=6), st.integers(0, 50))
@@ -133,12 +133,12 @@ def test_a_word_that_is_forgotten_leaves_nothing():
 
 def test_a_file_gives_the_same_words_and_the_same_bytes():
     words = taught("brass owl", 5, taught())
-    again = TaughtWords.from_bytes(words.to_bytes(), "words.npz", THIS)
+    restored = TaughtWords.from_bytes(words.to_bytes(), "words.npz", THIS)
     for name, array in words.to_arrays().items():
-        np.testing.assert_array_equal(again.to_arrays()[name], array)
+        np.testing.assert_array_equal(restored.to_arrays()[name], array)
     looks = unit(40, 3).astype(np.float64)
-    np.testing.assert_array_equal(again.leads("fox", looks), words.leads("fox", looks))
-    assert again.to_bytes() == words.to_bytes()
+    np.testing.assert_array_equal(restored.leads("fox", looks), words.leads("fox", looks))
+    assert restored.to_bytes() == words.to_bytes()
 
 
 def test_words_of_another_encoder_or_length_are_refused():

@@ -1,4 +1,4 @@
-"""Which objects an answer takes: one, a whole of several, or all that fit about as well."""
+"""Objects of an answer: one, a whole of several, or all that fit about as well."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def mug():
     )
 
 
-def taken(wholes, gaps, evidence=None, areas=AREAS, ranking=RANKING):
+def best_members(wholes, gaps, evidence=None, areas=AREAS, ranking=RANKING):
     evidence = np.zeros(len(gaps)) if evidence is None else evidence
     of_views = np.stack([evidence, evidence], 1)
     chosen = wholes.candidates(np.array([gaps], float), of_views[None], np.asarray(areas)).best(
@@ -47,29 +47,29 @@ def taken(wholes, gaps, evidence=None, areas=AREAS, ranking=RANKING):
 def test_two_parts_of_one_thing_are_taken_though_one_of_them_fits_badly(mug):
     gaps = [-0.1, 0.2, 0.1, -0.05]
     assert near_best(np.array(gaps), 0.2).tolist() == [False, True, False, False]
-    assert taken(mug, gaps) == [1, 2]
+    assert best_members(mug, gaps) == [1, 2]
     alone = replace(mug, members=mug.members[1:], standing=np.delete(mug.standing, 4))
-    assert taken(alone, gaps) == [1]
+    assert best_members(alone, gaps) == [1]
 
 
 def test_all_that_fit_about_as_well_can_be_an_answer(mug):
-    assert taken(mug, [-0.1, 0.2, -0.1, 0.2]) == [1, 3]
+    assert best_members(mug, [-0.1, 0.2, -0.1, 0.2]) == [1, 3]
 
 
 def test_a_classifier_decides_between_what_looks_alike(mug):
     gaps = [-0.1, 0.1, 0.1, 0.1]
-    assert taken(mug, gaps, np.array([-3, 4, 4, -3.0])) == [1, 2]
-    assert taken(mug, gaps, np.array([-3, -3, -3, 4.0])) == [3]
-    assert taken(mug, gaps, np.array([-3, -9, -9, 99.0])) == [3], "evidence is bounded"
+    assert best_members(mug, gaps, np.array([-3, 4, 4, -3.0])) == [1, 2]
+    assert best_members(mug, gaps, np.array([-3, -3, -3, 4.0])) == [3]
+    assert best_members(mug, gaps, np.array([-3, -9, -9, 99.0])) == [3], "evidence is bounded"
 
 
 def test_only_what_is_visible_and_no_sliver_is_taken(mug):
     gaps = [-0.1, 0.2, 0.1, 0.01]
-    assert taken(mug, gaps, areas=[1000, 0, 0, 1000]) == [3]
-    assert taken(mug, gaps, areas=np.zeros(4, int)) == []
-    assert taken(mug, [-np.inf] * 4) == []
-    assert 2 not in taken(mug, [-0.1, 0.2, -np.inf, 0.2])
-    assert taken(mug, [-0.1, -0.2, -0.2, -0.2]) != [], "a best guess, however badly it fits"
+    assert best_members(mug, gaps, areas=[1000, 0, 0, 1000]) == [3]
+    assert best_members(mug, gaps, areas=np.zeros(4, int)) == []
+    assert best_members(mug, [-np.inf] * 4) == []
+    assert 2 not in best_members(mug, [-0.1, 0.2, -np.inf, 0.2])
+    assert best_members(mug, [-0.1, -0.2, -0.2, -0.2]) != [], "a best guess, however badly it fits"
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -104,7 +104,7 @@ def plainly(wholes, gaps, evidence, areas, ranking):
     size = share.mean(1)
     visible = {i for i in range(n) if areas[i] > 0 and gaps[i] > -np.inf}
     top = max([gaps[i] for i in visible] + [MIN_BEST_GAP])
-    alike = {i for i in range(n) if gaps[i] > 0 and gaps[i] >= 0.6 * top}
+    similar = {i for i in range(n) if gaps[i] > 0 and gaps[i] >= 0.6 * top}
     gap = [g if g > -np.inf else UNSEEN_GAP for g in gaps]
     nodes = [{i} for i in range(n)] + [set(np.flatnonzero(row)) for row in wholes.members]
     candidates = [
@@ -113,8 +113,8 @@ def plainly(wholes, gaps, evidence, areas, ranking):
         if sum(size[i] for i in node) >= MIN_SHARE
         and sum(areas[i] for i in node & visible) >= MIN_PIXELS
     ]
-    if alike & visible:
-        candidates.append((alike, 0.0))
+    if similar & visible:
+        candidates.append((similar, 0.0))
     sums = dict(zip(map(tuple, wholes.borders.tolist()), wholes.border_sums.tolist(), strict=True))
     best_place = max(visible, key=lambda i: (gaps[i], -i), default=None)
     evidence = np.where(np.isnan(evidence), 0, evidence) * share
@@ -144,7 +144,7 @@ def plainly(wholes, gaps, evidence, areas, ranking):
             mean,
             recall(gap),
             best_place in node,
-            node & visible == alike & visible,
+            node & visible == similar & visible,
             sum(size[i] * ev[i] for i in node) / area,
             recall(ev),
             np.log(area),

@@ -81,8 +81,8 @@ def test_nested_boxes_are_found_once_each():
     result = all_masks(Drawn(), picture(), PLAIN)
     assert sorted(names(result)) == ["group", "object", "part"]
     # The box of the object covers .4 of that of the group.
-    apart = all_masks(Drawn(), picture(), replace(PLAIN, box_iou=0.3))
-    assert sorted(names(apart)) == ["group", "part"]
+    at_lower_iou = all_masks(Drawn(), picture(), replace(PLAIN, box_iou=0.3))
+    assert sorted(names(at_lower_iou)) == ["group", "part"]
     assert result.scores.dtype == np.float32 and (np.diff(result.scores) <= 0).all()
 
 

@@ -78,9 +78,9 @@ def test_equals_the_plain_rule():
     depths = [(d * rng.uniform(0.93, 1.07, d.shape)).astype(np.float32) for d in depths]
     depths[0][5:9, 5:50] = depths[1][:20, 60:80] = 0
     new, old = (SurfacePoints(frame) for frame in with_depths((b, a), depths[::-1]))
-    which, there = reproject(new, old, new.pixels(1))
+    which, is_inside = reproject(new, old, new.pixels(1))
     place = np.full(SIZE, -1)
-    place.ravel()[new.pixels(1)[which]] = there
+    place.ravel()[new.pixels(1)[which]] = is_inside
 
     def moved(row, column, depth, here, inside):
         ray = np.linalg.inv(here.K) @ (column + 0.5, row + 0.5, 1)

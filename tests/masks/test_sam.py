@@ -31,7 +31,7 @@ def folders(tmp_path_factory):
     return {name: save(tmp_path_factory.mktemp(name)) for name, save in SAVE.items()}
 
 
-def seen():
+def seen_view():
     return SeenView.alone(picture())
 
 
@@ -113,7 +113,7 @@ def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
     proposer = load_proposer(name, model=folders[name], preset=LENIENT)
     mask = np.zeros((60, 80), bool)
     mask[:30] = True
-    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen(), mask)
+    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen_view(), mask)
     encoded = []
     encode = proposer.network.get_image_embeddings
     monkeypatch.setattr(
@@ -129,7 +129,7 @@ def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
 @pytest.mark.parametrize("name", SAVE)
 def test_settings_of_the_proposer(folders, name):
     def propose(mask=None, **settings):
-        return load_proposer(name, model=folders[name], **settings).propose(seen(), mask)
+        return load_proposer(name, model=folders[name], **settings).propose(seen_view(), mask)
 
     parts, groups = (propose(preset=LENIENT, level=level).masks for level in ("s", "l"))
     assert len(parts) and parts.tobytes() != groups.tobytes()
@@ -162,7 +162,7 @@ def test_a_model_in_parts_is_whole(folders, tmp_path):
     network.save_pretrained(tmp_path, max_shard_size="60KB")
     assert len(list(tmp_path.glob("model-*.safetensors"))) > 1
     result, expected = (
-        load_proposer("sam", model=f, preset=LENIENT).propose(seen())
+        load_proposer("sam", model=f, preset=LENIENT).propose(seen_view())
         for f in (tmp_path, folders["sam"])
     )
     assert result.masks.tobytes() == expected.masks.tobytes()

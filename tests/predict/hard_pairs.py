@@ -148,7 +148,7 @@ def photograph(
 
 
 def stage(*cameras: Camera, **settings) -> Sample:
-    """What these cameras see of the stage; settings as in :func:`photograph`."""
+    """Render the stage for cameras; settings as in :func:`photograph`."""
     views = (photograph(f"view{i}", c, **settings) for i, c in enumerate(cameras))
     return Sample("stage", tuple(views))
 

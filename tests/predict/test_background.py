@@ -1,4 +1,4 @@
-"""What is continued, where to, and that it stays out of what the views show."""
+"""Continued surfaces: their origin and extent; they do not cover what the views show."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ def scene(cameras, box):
     return walls, [rng.random((*wall.shape, 3), np.float32) for wall in walls]
 
 
-def shown(points, cameras, walls):
-    """Which points [M, 3] some view shows, or has in its free space; one by one."""
+def is_shown(points, cameras, walls):
+    """Tell for each point [M, 3], in a plain loop, whether a view shows it or free space there."""
     out = []
     for point in points:
         observed = False
@@ -52,7 +52,7 @@ def test_only_what_no_view_shows_is_continued(box, size):
     for i in range(2):
         # Float32 means: a point just inside a border may be just outside. Measured none.
         rest = [[v[1 - i]] for v in (cameras, walls)]
-        assert not shown(points[view == i], *rest).any()
+        assert not is_shown(points[view == i], *rest).any()
 
 
 def test_a_view_goes_on_beyond_its_border():

@@ -35,7 +35,7 @@ def test_along_a_walk_each_view_gets_the_exposure_of_its_neighbourhood():
 
 
 def test_one_view_that_is_far_off_the_others_hardly_moves_them():
-    """What has its exposure wrong is brought to the others, not they half way to it."""
+    """The view with another exposure is adjusted to the others, not the others to it."""
     bright = np.array([1.0, 1.0, 0.7, 1.0, 1.0])
     gains = gains_of([camera(x=0.1 * k) for k in range(5)], bright)
     moved = np.log(gains * bright[:, None])

@@ -1,4 +1,4 @@
-"""What the plane sweep promises where two-view geometry is hard.
+"""Bounds on the plane sweep's errors where two-view geometry is hard.
 
 Errors are of the pixels whose surface falls inside another view, hidden or not; behind each bound
 stands what was measured, with about half of it again as a margin.

@@ -1,4 +1,4 @@
-"""What a scene of several photographs promises where one of them is odd.
+"""Bounds on scenes of several photographs of which one is unusual.
 
 A twist is held against the same room without it, in the mean over :data:`ROOMS`. Behind each bound
 stands what eight rooms measured, mean and standard deviation: what the order of the views alone
@@ -84,8 +84,8 @@ def first_turned(views: Views, seed: int) -> Views:
         for name in ("image", "depth", "instances")
     }
     height, width = turned["depth"].shape
-    held = replace(first.camera, K=K, c2w=c2w, width=width, height=height)
-    return (replace(first, camera=held, **turned), *views[1:])
+    camera = replace(first.camera, K=K, c2w=c2w, width=width, height=height)
+    return (replace(first, camera=camera, **turned), *views[1:])
 
 
 def shuffled(views: Views, seed: int) -> Views:
@@ -114,8 +114,8 @@ def test_a_twist_costs_little(twist):
         ratios = [after[name] / before[name] for name in ("depth", "gaussians")]
         rows.append([after["psnr"] - before["psnr"], *ratios])
     gain, depth, gaussians = np.mean(rows, 0)
-    least, greatest, bounds = TWISTS[twist]
-    assert gain > least and depth < greatest and bounds[0] < gaussians < bounds[1], rows
+    smallest, greatest, bounds = TWISTS[twist]
+    assert gain > smallest and depth < greatest and bounds[0] < gaussians < bounds[1], rows
 
 
 AROUND = 12
@@ -124,7 +124,7 @@ FRONT = (PHOTO_WALL, Solid(BOX, (3.5, 0.1, 1.6), (0, -5.0, 1.6)))
 
 
 def test_a_loop_closes():
-    """Where a walk round inside a room ends is as good as if it were in the middle of the way."""
+    """The ends of a closed walk inside a room are as accurate as its middle."""
 
     def at(part: float) -> Camera:
         angle = 2 * np.pi * part

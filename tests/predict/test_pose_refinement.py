@@ -25,7 +25,7 @@ def degrees(a, b):
     return np.degrees(Rotation.from_matrix(b.c2w[:3, :3] @ a.c2w[:3, :3].T).magnitude())
 
 
-def seen(cameras, count=300, noise=0.0):
+def observe(cameras, count=300, noise=0.0):
     """Keypoints of points before all cameras, and matches of each view with the next two."""
     rng = np.random.default_rng(0)
     points = rng.uniform((-0.5, -0.6, 2.5), (1.4, 0.6, 5), (count, 3))
@@ -49,7 +49,7 @@ def off(cameras, true=TRUE):
 def test_settled_cameras_are_nearer_to_the_truth_than_the_given_ones():
     rng = np.random.default_rng(1)
     inputs = [disturbed(c, rng.normal(0, 0.005, 3), rng.normal(0, 0.01, 3)) for c in TRUE]
-    keypoints, matches = seen(TRUE, noise=0.1)
+    keypoints, matches = observe(TRUE, noise=0.1)
     before, after = off(inputs), off(refine_cameras(inputs, keypoints, matches))
     assert before[0] > 0.3 and before[1] > 0.03
     # A tenth of a pixel at a focal length of 150 pixels: measured 0.13 and 0.009.
@@ -57,7 +57,7 @@ def test_settled_cameras_are_nearer_to_the_truth_than_the_given_ones():
 
 
 def test_cameras_that_fit_stay():
-    keypoints, matches = seen(TRUE)
+    keypoints, matches = observe(TRUE)
     for before, after in zip(TRUE, refine_cameras(TRUE, keypoints, matches), strict=True):
         assert np.allclose(before.c2w, after.c2w, atol=1e-6)
 
@@ -67,7 +67,7 @@ def test_a_frame_turned_as_a_whole_stays_where_it_was_given():
     turn, middle = np.array([0.004, -0.003, 0.002]), np.mean([c.center for c in TRUE], 0)
     spin = Rotation.from_rotvec(turn).as_matrix()
     inputs = [disturbed(c, turn, spin @ (c.center - middle) + middle - c.center) for c in TRUE]
-    keypoints, matches = seen(TRUE)
+    keypoints, matches = observe(TRUE)
     for before, after in zip(inputs, refine_cameras(inputs, keypoints, matches), strict=True):
         assert degrees(before, after) < 0.02
         assert np.linalg.norm(before.center - after.center) < 1e-3

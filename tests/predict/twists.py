@@ -16,7 +16,7 @@ def arc(seed: int, number: int, size: tuple[int, int]) -> Sample:
 
 
 def stranger(seed: int, inputs: Sample, place: int) -> View:
-    """What a photograph of another room looks like, with a camera between two of this one's."""
+    """Render another room from a camera between two of this room."""
     a, b = (view.camera for view in inputs.context[place : place + 2])
     other = arc(seed + 1000, len(inputs.context), (a.height, a.width)).context[place]
     between = a.c2w.copy()

@@ -76,7 +76,7 @@ def gradients(scene, backend: str, chosen: Settings, loss=None) -> dict[str, tor
 
 @cache
 def truth(name: str) -> tuple[Render, dict[str, torch.Tensor]]:
-    """What the reference draws, and its gradients."""
+    """Rendering and gradients of the reference."""
     true = rasterize(*case(name), backend="reference", settings=EXACT)
     return true, gradients(case(name), "reference", EXACT, partial(loss_of, true=true))
 

@@ -1,4 +1,4 @@
-"""What is merged is even, flat and of one object, and changes no given view by a grey level."""
+"""Merged Gaussians are even in colour, flat and of one object; no context view changes by a grey level."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def noise(levels: float) -> np.ndarray:
     return 0.5 + np.random.default_rng(0).uniform(-levels, levels, (H, W, 3)) * GREY
 
 
-def shown(gaussians: Gaussians, view: Camera) -> np.ndarray:
+def colors_of(gaussians: Gaussians, view: Camera) -> np.ndarray:
     drawn = rasterize(gaussians, None, view)
     return (drawn.values / drawn.alpha.clamp_min(0.5)[..., None]).clamp(0, 1).numpy()
 
@@ -55,7 +55,10 @@ def test_a_plain_wall_needs_few_and_looks_the_same():
     assert len(merged.gaussians) < 0.3 * len(plain)
     for view in (*CAMERAS, *(camera(W, H, 60, c2w=moved(x)) for x in (0.1, 0.4))):
         inner = slice(4, -4), slice(4, -10)  # beyond the border of both there is nothing
-        assert np.abs(shown(merged.gaussians, view) - shown(plain, view))[inner].max() < 2 * GREY
+        assert (
+            np.abs(colors_of(merged.gaussians, view) - colors_of(plain, view))[inner].max()
+            < 2 * GREY
+        )
         alpha = rasterize(merged.gaussians, None, view).alpha.numpy()[inner]
         assert alpha.min() > 0.97
 
@@ -70,7 +73,9 @@ def test_what_is_uneven_stays_where_no_given_view_sees_it():
 def test_the_change_is_measured_and_bounded(levels):
     speckled = wall(noise(levels))
     merged = merge(speckled, CAMERAS)
-    changes = [np.abs(shown(merged.gaussians, c) - shown(speckled, c)) / GREY for c in CAMERAS]
+    changes = [
+        np.abs(colors_of(merged.gaussians, c) - colors_of(speckled, c)) / GREY for c in CAMERAS
+    ]
     rms = max(np.sqrt((c.astype(np.float64) ** 2).mean()) for c in changes)
     measured = merged.change.mean, merged.change.rms, merged.change.greatest
     assert measured == pytest.approx((np.mean(changes), rms, np.max(changes)), rel=1e-4)

@@ -49,9 +49,9 @@ def test_it_learns_and_its_metrics_say_so(tmp_path):
     # Measured with four seeds: 0.43 to 0.48.
     assert losses[-12:].mean() < 0.6 * losses[:12].mean(), (losses[-12:].mean(), losses[:12].mean())
     assert trained.metrics["step"].to_pylist() == [*range(1, 37)]
-    seen = trained.metrics["sample"].to_pylist()
-    assert all(set(seen[i : i + 3]) == {f"wall {k}" for k in range(3)} for i in range(0, 36, 3))
-    assert len({tuple(seen[i : i + 3]) for i in range(0, 36, 3)}) > 1
+    samples = trained.metrics["sample"].to_pylist()
+    assert all(set(samples[i : i + 3]) == {f"wall {k}" for k in range(3)} for i in range(0, 36, 3))
+    assert len({tuple(samples[i : i + 3]) for i in range(0, 36, 3)}) > 1
 
 
 @pytest.mark.parametrize("step", [2, 7])

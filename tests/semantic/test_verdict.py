@@ -1,4 +1,4 @@
-"""What is said of judgements: by clips, in pairs, and not before there are enough."""
+"""Verdicts on judgements: paired by clip, and only with enough clips."""
 
 import pyarrow as pa
 import pytest
@@ -10,10 +10,10 @@ from slgaussian.storage.specs import load_spec
 
 def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):
     rows = [
-        {"sample": f"s{k}", "clip": clip, "labels": kind, "lifting": name, "iou": own[k]}
+        {"sample": f"s{k}", "clip": clip, "labels": kind, "lifting": name, "iou": values[k]}
         for k, clip in enumerate(clips)
         for kind in kinds
-        for name, own in scores.items()
+        for name, values in scores.items()
     ]
     return pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
 
@@ -21,30 +21,30 @@ def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as f
 def test_a_clip_counts_once_however_many_lessons_it_has():
     table = judged({"branch": [0.9, 0.7, 0.4], "hard": [0.5, 0.5, 0.5]}, ["a", "a", "b"])
     assert clip_scores(table)["branch"] == pytest.approx([0.8, 0.4])
-    found = gain(table, "hard")
-    assert found.samples == 2 and found.difference == pytest.approx(0.1)
+    comparison = gain(table, "hard")
+    assert comparison.samples == 2 and comparison.difference == pytest.approx(0.1)
 
 
 def test_a_gain_within_noise_is_none():
     """Weights come into use by this: a mean above 0 is not enough, the whole interval must be."""
     noise = [0.03, -0.03, 0.02, -0.02, 0.025, -0.025, 0.01, -0.01]  # standard error 0.0075
-    found = {}
+    verdicts = {}
     for step in (0.005, 0.01, 0.03):
         scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
         table = judged(scores, list("abcdefgh"))
-        told, by = gate(table, {"hard": "no branch"}), gain(table, "hard")
-        assert by.difference > 0 and told.better == (by.low > 0)
-        found[step] = told
-    assert [told.better for told in found.values()] == [False, False, True]
-    assert found[0.01].why.startswith("no gain over no branch beyond noise: +0.0100 IoU (-0.00")
+        verdict, comparison = gate(table, {"hard": "no branch"}), gain(table, "hard")
+        assert comparison.difference > 0 and verdict.better == (comparison.low > 0)
+        verdicts[step] = verdict
+    assert [verdict.better for verdict in verdicts.values()] == [False, False, True]
+    assert verdicts[0.01].why.startswith("no gain over no branch beyond noise: +0.0100 IoU (-0.00")
 
 
 def test_few_clips_never_are_enough():
-    few, enough = (
+    five_clips, enough = (
         gate(judged({"branch": [0.9] * n, "hard": [0.1] * n}, list("abcdefgh"[:n])), {"hard": "it"})
         for n in (MIN_SAMPLES - 1, MIN_SAMPLES)
     )
-    assert not few.better and few.why.startswith("too few clips to tell it from it")
+    assert not five_clips.better and five_clips.why.startswith("too few clips to tell it from it")
     assert enough.better
 
 
@@ -72,18 +72,18 @@ def with_means(**means: float) -> pa.Table:
     ],
 )
 def test_the_gate_asks_for_more_than_the_best_of_all(before, hard, filled, better, why):
-    found = gate(with_means(branch=0.58, before=before, hard=hard, filled=filled), RIVALS)
-    assert found.better == better and found.why.startswith(why)
-    assert found.why.endswith("; and than hard and filled") == better
+    verdict = gate(with_means(branch=0.58, before=before, hard=hard, filled=filled), RIVALS)
+    assert verdict.better == better and verdict.why.startswith(why)
+    assert verdict.why.endswith("; and than hard and filled") == better
 
 
 def test_what_is_in_use_is_worse_than_no_network_only_beyond_noise():
     rivals = {"hard": "hard", "filled": "filled"}
-    told = regression(
+    reason = regression(
         with_means(branch=0.5, before=0.55, hard=0.5, filled=0.6), rivals, "version 1"
     )
-    assert told.startswith("version 1, in use, is worse than filled: -0.05")
+    assert reason.startswith("version 1, in use, is worse than filled: -0.05")
     assert not regression(with_means(branch=0.5, before=0.6, hard=0.5, filled=0.601), rivals, "1")
     assert not regression(with_means(branch=0.5, hard=0.6, filled=0.6), rivals, "version 1")
-    few = judged({"before": [0.1] * 5, "hard": [0.9] * 5}, list("abcde"))
-    assert not regression(few, rivals, "version 1")
+    five_clips = judged({"before": [0.1] * 5, "hard": [0.9] * 5}, list("abcde"))
+    assert not regression(five_clips, rivals, "version 1")

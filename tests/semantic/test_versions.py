@@ -109,7 +109,7 @@ def test_two_at_the_same_time_get_different_numbers(tmp_path):
     for worker in workers:
         worker.join()
         assert worker.exitcode == 0
-    found = Versions(tmp_path).all()
-    assert [v.number for v in found] == [1, 2, 3, 4]
-    assert sorted(v.facts["by"] for v in found) == list(range(4))
-    assert Versions(tmp_path).current() == [one for one in found if one.promoted][-1]
+    versions = Versions(tmp_path).all()
+    assert [v.number for v in versions] == [1, 2, 3, 4]
+    assert sorted(v.facts["by"] for v in versions) == list(range(4))
+    assert Versions(tmp_path).current() == [version for version in versions if version.promoted][-1]

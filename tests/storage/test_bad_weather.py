@@ -20,27 +20,27 @@ KEY = f"masks/v1/{'0' * 64}"
 @pytest.fixture
 def weather(bucket, s3_server, monkeypatch):
     """Bad weather before the server of a bucket, and a store behind it, without copies."""
-    made = []
+    proxies = []
 
     def begin(share: float, *faults: str, **more) -> tuple[BadWeather, ArtifactStore]:
-        own = BadWeather(s3_server, share, hang=3.0, faults=faults or FAULTS, **more)
-        made.append(own)
-        monkeypatch.setenv("AWS_ENDPOINT_URL", own.url)
+        proxy = BadWeather(s3_server, share, hang=3.0, faults=faults or FAULTS, **more)
+        proxies.append(proxy)
+        monkeypatch.setenv("AWS_ENDPOINT_URL", proxy.url)
         s3fs.S3FileSystem.clear_instance_cache()
-        return own, ArtifactStore(f"{bucket}/slg")
+        return proxy, ArtifactStore(f"{bucket}/slg")
 
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
     monkeypatch.setattr(remote, "READ_TIMEOUT", 2)
     yield begin
-    for own in made:
-        own.close()
+    for proxy in proxies:
+        proxy.close()
     s3fs.S3FileSystem.clear_instance_cache()
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_passes(weather, fault, monkeypatch):
     monkeypatch.setattr(storing, "UPLOAD_PART_BYTES", 5 * 2**20)  # the least that S3 takes
-    own, store = weather(0.1 if fault == "time-out" else 0.33, fault)
+    proxy, store = weather(0.1 if fault == "time-out" else 0.33, fault)
     refs = [store.put("labels", labels(value)) for value in range(3)]
     refs.append(store.put("failures", failures("a", "b")))
     store.put("weights", content := weights(11 * 2**20))  # in parts
@@ -51,35 +51,35 @@ def test_each_fault_passes(weather, fault, monkeypatch):
     assert isinstance(store.get(refs[3]), pa.Table)
     big = store.put("weights", content)
     assert (store.get(big)["safetensors"] == content["safetensors"]).all()
-    found = {file.uri for files in store.walk() for file in files}
-    assert found == {*(ref.uri for ref in refs), big.uri, f"keys/masks/v1/00/{'0' * 64}.json"}
+    uris = {file.uri for files in store.walk() for file in files}
+    assert uris == {*(ref.uri for ref in refs), big.uri, f"keys/masks/v1/00/{'0' * 64}.json"}
     store.remove([big.uri])
     with pytest.raises(DamagedError, match="found nothing"):
         store.check(big)
-    assert own.met[fault] >= 3
+    assert proxy.met[fault] >= 3
 
 
 def test_upkeep_takes_nothing_for_garbage_that_was_cut_on_the_way(weather):
-    own, store = weather(0.2, "less than said")
+    proxy, store = weather(0.2, "less than said")
     for value in range(12):
         ref = store.put("labels", labels(value))
         Records(store).keep(KEY.replace("0", f"{value:x}"), ref)
     swept = collect(store, -1e9, {"masks": 1}, delete=True)
     assert (swept.artifacts, swept.records, swept.kept) == (0, 0, 12)
-    assert own.met["less than said"] >= 5
+    assert proxy.met["less than said"] >= 5
 
 
 def test_a_server_without_room_and_one_that_always_fails_are_one_sentence(weather, monkeypatch):
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "2")
-    own, store = weather(0.0)
-    own.full = True
+    proxy, store = weather(0.0)
+    proxy.full = True
     with pytest.raises(InputError, match=r"cannot write there \(.*no room"):
         store.put("labels", labels())
-    own.full = False
+    proxy.full = False
     ref = store.put("labels", labels())
-    own.share, own.faults = 1.0, ("503 slow down",)
+    proxy.share, proxy.faults = 1.0, ("503 slow down",)
     with pytest.raises(
         InputError, match=r"cannot read there \((Service Unavailable|.*request rate)"
     ):
         store.get(ref)
-    assert own.met["503 slow down"] == 2
+    assert proxy.met["503 slow down"] == 2

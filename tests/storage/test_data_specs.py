@@ -32,13 +32,13 @@ def test_every_spec_is_complete(name):
     for entry in (*spec.fields.values(), *spec.columns.values()):
         assert entry.doc
         assert entry.unit in ("", *UNITS)
-    letters = {axis for own in spec.fields.values() for axis in own.shape if axis == str(axis)}
+    letters = {axis for array in spec.fields.values() for axis in array.shape if axis == str(axis)}
     assert set(spec.axes) == letters
 
 
 def test_what_lost_a_miss_is_one_of_what_the_attribution_says():
-    said = {*attribution.STAGES, attribution.UNFIXABLE}
-    assert set(load_spec("attribution").columns["lost"].values) == said
+    causes = {*attribution.STAGES, attribution.UNFIXABLE}
+    assert set(load_spec("attribution").columns["lost"].values) == causes
 
 
 def test_an_unknown_spec_says_which_there_are():

@@ -1,4 +1,4 @@
-"""What stays in a store, what may go, and what is found damaged."""
+"""Files that garbage collection keeps and removes, and damaged files."""
 
 import json
 from pathlib import Path
@@ -32,11 +32,11 @@ def test_only_what_nothing_refers_to_goes(store):
     store.write("digests/abc.json", b"{}")
     store.write("notes.txt", b"of the user")
     before = names(store)
-    found = collect(store, -60, VERSIONS)
-    assert (found.artifacts, found.records, found.kept) == (1, 0, 4)
-    assert found.bytes == len(store.read(uris["loose"]))
+    garbage = collect(store, -60, VERSIONS)
+    assert (garbage.artifacts, garbage.records, garbage.kept) == (1, 0, 4)
+    assert garbage.bytes == len(store.read(uris["loose"]))
     assert names(store) == before
-    assert collect(store, -60, VERSIONS, delete=True) == found
+    assert collect(store, -60, VERSIONS, delete=True) == garbage
     assert names(store) == before - {uris["loose"]}
     assert collect(store, -60, VERSIONS, delete=True).artifacts == 0
     assert all(Records(store).find(key) for key in KEYS.values())
@@ -44,18 +44,18 @@ def test_only_what_nothing_refers_to_goes(store):
 
 def test_what_is_young_stays(store):
     uris = filled(store)
-    found = collect(store, 3600, VERSIONS, delete=True)
-    assert (found.artifacts, found.young) == (0, 1)
+    garbage = collect(store, 3600, VERSIONS, delete=True)
+    assert (garbage.artifacts, garbage.young) == (0, 1)
     assert uris["loose"] in names(store)
 
 
 def test_records_of_other_versions_go_with_what_only_they_name(store):
     uris = filled(store)
     assert collect(store, -60, {"b": 2, "other": 1}).records == 0
-    found = collect(store, -60, {"a": 1, "b": 3}, delete=True)
-    assert (found.records, found.artifacts) == (1, 4)
-    kept = {uri for uri in names(store) if not uri.startswith("keys/")}
-    assert kept == {uris["a"]}
+    garbage = collect(store, -60, {"a": 1, "b": 3}, delete=True)
+    assert (garbage.records, garbage.artifacts) == (1, 4)
+    remaining = {uri for uri in names(store) if not uri.startswith("keys/")}
+    assert remaining == {uris["a"]}
     assert Records(store).find(KEYS["b"]) is None
 
 
@@ -72,13 +72,13 @@ def test_what_killed_programs_left_goes(local):
     ]
     for path in left:
         path.write_bytes(b"half")
-    others = Path(local.path) / "checkpoints" / ".going-on.tmp"
-    others.parent.mkdir()
-    others.write_bytes(b"not ours")
+    foreign = Path(local.path) / "checkpoints" / ".going-on.tmp"
+    foreign.parent.mkdir()
+    foreign.write_bytes(b"not ours")
     assert collect(local, 3600, VERSIONS, delete=True).unfinished == 0
     assert collect(local, -60, VERSIONS, delete=True).unfinished == 3
     assert not any(path.exists() for path in left)
-    assert others.exists()
+    assert foreign.exists()
 
 
 RECORDS = {

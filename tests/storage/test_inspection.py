@@ -1,4 +1,4 @@
-"""What is told of a file, and of files that are damaged, mute or somebody else's."""
+"""Inspection of files, including damaged and foreign ones and those without a spec."""
 
 import io
 import json
@@ -61,25 +61,27 @@ def test_a_file_in_the_place_of_another_has_a_problem(artifact):
 
 
 def test_a_field_is_shown_file_by_file(field):
-    found = inspect(field)
+    rows = inspect(field)
     names = ["bank.npz", "field.json", "gaussians.npz", "objects.parquet"]
-    assert [Path(one["path"]).name for one in found] == names
-    assert not any(one["problem"] for one in found)
-    assert found[2]["made"]["stage"] == "build_field"
+    assert [Path(row["path"]).name for row in rows] == names
+    assert not any(row["problem"] for row in rows)
+    assert rows[2]["made"]["stage"] == "build_field"
 
 
 def test_damaged_artifacts_of_a_store_are_named(store):
-    whole, harmed, gone, other = (store.put("labels", labels(value)).uri for value in range(4))
+    intact, harmed, gone, other = (store.put("labels", labels(value)).uri for value in range(4))
     data = store.read(harmed)
     store.write(harmed, data[:90] + b"?" + data[91:])
     store.write(gone, b"PK")
     store.write(other, foreign()["a.npz"])
     store.write("keys/notes.json", b"{}")
-    found = {
+    faults = {
         row["path"].removeprefix(f"{store.root}/"): row["problem"] for row in inspect(store.root)
     }
-    assert not found.pop(whole) and found.keys() == {harmed, gone, other}
-    assert all(problem.startswith(store.root) and "\n" not in problem for problem in found.values())
+    assert not faults.pop(intact) and faults.keys() == {harmed, gone, other}
+    assert all(
+        problem.startswith(store.root) and "\n" not in problem for problem in faults.values()
+    )
     with pytest.raises(InputError, match="nothing: found "):
         inspect(f"{store.root}/nothing")
 
@@ -87,8 +89,8 @@ def test_damaged_artifacts_of_a_store_are_named(store):
 def test_weights_are_known_by_their_tensors(tmp_path):
     data = save_branch(make_branch(Architecture(widths=(4, 6), hidden=8), 0))
     (tmp_path / "branch.safetensors").write_bytes(data)
-    (found,) = inspect(tmp_path / "branch.safetensors")
-    assert not found["problem"] and found["made"]
+    (row,) = inspect(tmp_path / "branch.safetensors")
+    assert not row["problem"] and row["made"]
     (tmp_path / "branch.safetensors").write_bytes(data[:-5])
     assert "is damaged" in inspect(tmp_path / "branch.safetensors")[0]["problem"]
 
@@ -103,8 +105,8 @@ def test_damage_is_one_sentence(tmp_path, kind, share):
     }[kind]
     file = tmp_path / f"a.{kind}"
     file.write_bytes(data[: int(len(data) * share)])
-    (found,) = inspect(file)
-    assert found["problem"].startswith(f"{file}: ") and "\n" not in found["problem"]
+    (row,) = inspect(file)
+    assert row["problem"].startswith(f"{file}: ") and "\n" not in row["problem"]
 
 
 def foreign() -> dict[str, bytes]:
@@ -156,11 +158,11 @@ def test_an_auditor_needs_pyarrow_and_numpy_alone(field, tmp_path, monkeypatch, 
     for example in examples:
         assert not re.search(r"import (?!json|numpy|pyarrow)", example)
         exec(compile(example, "guide", "exec"), {})
-    told = capsys.readouterr().out
-    assert "slgaussian/objects@1 {'codes': 'grid', 'encoder': 'lexicon'}" in told
-    assert "means (6, 3) ['N', 3] scene unit Centres, scene units." in told
+    printed = capsys.readouterr().out
+    assert "slgaussian/objects@1 {'codes': 'grid', 'encoder': 'lexicon'}" in printed
+    assert "means (6, 3) ['N', 3] scene unit Centres, scene units." in printed
 
 
 def test_the_page_of_stored_files_is_what_its_maker_writes():
-    made = runpy.run_path(str(ROOT / "docs/make_files.py"))
-    assert (ROOT / "docs/reference/files.md").read_text("utf-8") == made["markdown"]()
+    maker = runpy.run_path(str(ROOT / "docs/make_files.py"))
+    assert (ROOT / "docs/reference/files.md").read_text("utf-8") == maker["markdown"]()

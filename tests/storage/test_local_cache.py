@@ -30,8 +30,8 @@ def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
     monkeypatch.delenv("SLGAUSSIAN_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("SLGAUSSIAN_CACHE_SIZE", raising=False)
-    found = LocalCache.from_environment()
-    assert (found.folder, found.bound) == (tmp_path / "slgaussian" / "objects", 10**10)
+    cache = LocalCache.from_environment()
+    assert (cache.folder, cache.bound) == (tmp_path / "slgaussian" / "objects", 10**10)
     for text, size in (("500M", 5 * 10**8), ("1.5 GB", 15 * 10**8), ("2 tb", 2 * 10**12)):
         monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", text)
         assert LocalCache.from_environment().bound == size
@@ -44,19 +44,19 @@ def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
 
 def test_arrays_are_made_once_and_anew_where_the_file_is_damaged(tmp_path, monkeypatch):
     monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path))
-    made = []
+    calls = []
 
     def make():
-        made.append(1)
+        calls.append(1)
         return {"squares": np.arange(6, dtype=np.uint8).reshape(2, 3)}
 
     for times, damage in ((1, None), (1, None), (2, b"PK no archive"), (2, None), (3, b"")):
         if damage is not None:
             (tmp_path / "outlines" / "a.npz").write_bytes(damage)
-        found = cached_arrays("outlines/a.npz", make)
-        assert len(made) == times
-        np.testing.assert_array_equal(found["squares"], [[0, 1, 2], [3, 4, 5]])
-        assert found["squares"].dtype == np.uint8
+        arrays = cached_arrays("outlines/a.npz", make)
+        assert len(calls) == times
+        np.testing.assert_array_equal(arrays["squares"], [[0, 1, 2], [3, 4, 5]])
+        assert arrays["squares"].dtype == np.uint8
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
     cached_arrays("outlines/a.npz", make)
-    assert len(made) == 4
+    assert len(calls) == 4

@@ -51,15 +51,15 @@ def test_arrays_say_what_they_are_and_what_made_them(store):
         ref = store.put("labels", labels())
     with np.load(io.BytesIO(store.read(ref.uri))) as file:
         assert set(file.files) == {"about.json", "labels", "margin"}
-        about = json.loads(file["about.json"])
-    assert (about["spec"], about["made"]) == ("slgaussian/labels@1", SAID)
-    assert about["meaning"] == load_spec("labels").doc
-    assert about["axes"].keys() == {"V", "H", "W"}
-    margin = about["fields"]["margin"]
+        metadata = json.loads(file["about.json"])
+    assert (metadata["spec"], metadata["made"]) == ("slgaussian/labels@1", SAID)
+    assert metadata["meaning"] == load_spec("labels").doc
+    assert metadata["axes"].keys() == {"V", "H", "W"}
+    margin = metadata["fields"]["margin"]
     assert margin["axes"] == ["V", "H", "W"]
     assert (margin["unit"], margin["low"], margin["high"]) == ("1", 0, 1)
-    assert about["fields"]["labels"]["meaning"] == load_spec("labels").fields["labels"].doc
-    assert read_metadata(store.read(ref.uri)) == about
+    assert metadata["fields"]["labels"]["meaning"] == load_spec("labels").fields["labels"].doc
+    assert read_metadata(store.read(ref.uri)) == metadata
 
 
 def test_tables_say_so_in_arrows_metadata(store):
@@ -67,10 +67,10 @@ def test_tables_say_so_in_arrows_metadata(store):
         ref = store.put("failures", failures("a"))
     data = store.read(ref.uri)
     schema = pq.read_schema(io.BytesIO(data))
-    said = {key.decode(): value.decode() for key, value in schema.metadata.items()}
-    assert said["spec"] == "slgaussian/failures@1"
-    assert said["meaning"] == load_spec("failures").doc
-    assert json.loads(said["made"]) == SAID
+    metadata = {key.decode(): value.decode() for key, value in schema.metadata.items()}
+    assert metadata["spec"] == "slgaussian/failures@1"
+    assert metadata["meaning"] == load_spec("failures").doc
+    assert json.loads(metadata["made"]) == SAID
     for name, column in load_spec("failures").columns.items():
         assert schema.field(name).metadata[b"meaning"].decode() == column.doc
     assert read_metadata(data)["made"] == SAID
@@ -90,8 +90,8 @@ def test_of_two_works_with_one_result_the_same_is_named_in_any_order(store):
     left = set()
     for order in (works, works[::-1], [works[1], works[2], works[0]]):
         ref = store.put("labels", labels())  # nobody says who
-        for made in order:
-            with record_provenance(made):
+        for origin in order:
+            with record_provenance(origin):
                 store.put("labels", labels())
         store.put("labels", labels())
         left.add(store.read(ref.uri))

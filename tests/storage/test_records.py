@@ -1,4 +1,4 @@
-"""What is done already, and how sure of it one is without reading it."""
+"""Records of finished work, and their checks without reading the artifacts."""
 
 import json
 import os
@@ -21,9 +21,9 @@ def store(tmp_path):
 
 @pytest.fixture
 def ref(store):
-    made = store.put("weights", {"safetensors": np.arange(100, dtype=np.uint8)})
-    Records(store).keep(KEY, made)
-    return made
+    weights = store.put("weights", {"safetensors": np.arange(100, dtype=np.uint8)})
+    Records(store).keep(KEY, weights)
+    return weights
 
 
 def alter(store, ref, back_in_time: bool) -> None:
@@ -65,18 +65,18 @@ def test_one_that_moved_is_checked_once_and_noted(store, ref):
 def test_a_record_whose_parts_are_gone_damaged_or_elsewhere_is_none(store, ref, tmp_path):
     """A part is looked at even where the artifact itself is known by its time."""
     part = store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})
-    whole = replace(ref, meta={"parts": [part.uri]})
-    Records(store).keep(KEY, whole)
-    assert Records(store).find(KEY) == whole
+    with_part = replace(ref, meta={"parts": [part.uri]})
+    Records(store).keep(KEY, with_part)
+    assert Records(store).find(KEY) == with_part
     outside = tmp_path / "outside.npz"
     outside.write_bytes(b"")
     Records(store).keep(KEY, replace(ref, meta={"parts": ["../outside.npz"]}))
     assert Records(store).find(KEY) is None
     for damage in (b"", Path(store.path, part.uri).read_bytes()[:100]):
-        Records(store).keep(KEY, whole)
+        Records(store).keep(KEY, with_part)
         Path(store.path, part.uri).write_bytes(damage)
         assert Records(store).find(KEY) is None
         store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})
-    Records(store).keep(KEY, whole)
+    Records(store).keep(KEY, with_part)
     store.remove([part.uri])
     assert Records(store).find(KEY) is None

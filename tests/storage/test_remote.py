@@ -33,5 +33,5 @@ def test_a_url_with_credentials_is_refused_and_not_repeated(url):
     st.text("abcXYZ019", min_size=1),
 )
 def test_no_password_survives_masking(password, user):
-    shown = redacted(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
-    assert shown == "could not reach s3://***@bucket/x, nor gs://other/y"
+    masked = redacted(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
+    assert masked == "could not reach s3://***@bucket/x, nor gs://other/y"

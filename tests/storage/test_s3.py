@@ -72,8 +72,8 @@ def test_without_credentials_the_sentence_says_where_they_go(bucket, fresh, monk
 def test_with_wrong_credentials_the_sentence_does_not_say_them(bucket, fresh, s3_server):
     def guard(unchecked: str) -> None:
         place, plain = f"{s3_server}/moto-api/reset-auth", {"Content-Type": "text/plain"}
-        asked = urllib.request.Request(place, unchecked.encode(), plain)
-        urllib.request.urlopen(asked).close()
+        queries = urllib.request.Request(place, unchecked.encode(), plain)
+        urllib.request.urlopen(queries).close()
 
     guard("0")
     try:

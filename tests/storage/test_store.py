@@ -81,12 +81,12 @@ def test_name_shape_dtype_and_bits_are_all_in_the_digest(other):
 
 
 def test_a_table_digest_ignores_chunks_and_sees_values():
-    whole = failures("a", "b")
+    table = failures("a", "b")
     parts = pa.concat_tables([failures("a"), failures("b")])
-    assert table_digest(parts) == table_digest(whole)
+    assert table_digest(parts) == table_digest(table)
     spec = load_spec("failures")
-    assert encode_table(parts, spec) == encode_table(whole, spec)
-    assert table_digest(failures("a", "c")) != table_digest(whole)
+    assert encode_table(parts, spec) == encode_table(table, spec)
+    assert table_digest(failures("a", "c")) != table_digest(table)
     small, large = (pa.table({"a": pa.array([1, 2], kind)}) for kind in (pa.int32(), pa.int64()))
     assert table_digest(small) != table_digest(large)
 
@@ -99,24 +99,24 @@ def pickled() -> bytes:
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "altered", "empty", "swapped", "pickled"])
 def test_damage_is_one_sentence_that_names_the_file(store, damage):
-    ref, other = store.put("labels", labels(3)), store.put("labels", labels(4))
+    ref, second = store.put("labels", labels(3)), store.put("labels", labels(4))
     path = f"{store.path}/{ref.uri}"
-    whole = store.fs.cat_file(path)
+    content = store.fs.cat_file(path)
     if damage == "missing":
         store.fs.rm_file(path)
     else:
         bad = {
-            "cut": whole[: len(whole) // 2],
-            "altered": whole[:90] + bytes([whole[90] ^ 255]) + whole[91:],
+            "cut": content[: len(content) // 2],
+            "altered": content[:90] + bytes([content[90] ^ 255]) + content[91:],
             "empty": b"",
-            "swapped": store.fs.cat_file(f"{store.path}/{other.uri}"),
+            "swapped": store.fs.cat_file(f"{store.path}/{second.uri}"),
             "pickled": pickled(),
         }[damage]
         store.fs.pipe_file(path, bad)
     with pytest.raises(SpecError, match=rf"^[^\n]*{ref.uri}[^\n]*found[^\n]*expected[^\n]*$"):
         store.get(ref)
     assert store.put("labels", labels(3)) == ref
-    assert store.fs.cat_file(path) == whole
+    assert store.fs.cat_file(path) == content
 
 
 @pytest.mark.parametrize(

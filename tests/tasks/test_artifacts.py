@@ -1,4 +1,4 @@
-"""What goes into the store comes out of it equal."""
+"""Round trips of objects through the store."""
 
 import uuid
 from dataclasses import replace

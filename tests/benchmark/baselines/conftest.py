@@ -9,13 +9,13 @@ from slgaussian.masks import load_proposer
 
 
 @pytest.fixture(scope="session")
-def given(room) -> Inputs:
+def room_inputs(room) -> Inputs:
     """Shared by tests that do not look at what is worked out only once."""
     data = room.sample, room.field, room.gaussians, room.label_maps
     return Inputs(*data, load_proposer("regions"))
 
 
 @pytest.fixture
-def fresh(given) -> Inputs:
+def fresh(room_inputs) -> Inputs:
     """The same, with nothing worked out yet."""
-    return replace(given)
+    return replace(room_inputs)

@@ -27,9 +27,9 @@ def test_vectors_come_back_as_the_same_bytes_on_any_number_of_threads():
     assert (kinds[(vectors @ decoded[::200].T).argmax(0)] == kinds).mean() > 0.95
     try:
         torch.set_num_threads(1)
-        again = train_autoencoder(vectors, seed=0, steps=300)
-        assert again.encode(vectors).tobytes() == codes.tobytes()
-        assert again.decode(many).tobytes() == decoded.tobytes()
+        repeated = train_autoencoder(vectors, seed=0, steps=300)
+        assert repeated.encode(vectors).tobytes() == codes.tobytes()
+        assert repeated.decode(many).tobytes() == decoded.tobytes()
     finally:
         torch.set_num_threads(threads)
     assert torch.equal(torch.random.get_rng_state(), state)

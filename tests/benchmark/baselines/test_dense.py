@@ -31,11 +31,11 @@ def view() -> DenseView:
     vectors = texts[owner] + 0.2 * rng.standard_normal((*SIZE, texts.shape[1]))
     vectors *= rng.uniform(0.1, 3, (*SIZE, 1))
     vectors[3, 4] = 0
-    seen = np.ones(SIZE, bool)
-    seen[10:14, 20:30] = False
+    visible = np.ones(SIZE, bool)
+    visible[10:14, 20:30] = False
     depth = np.ones(SIZE, np.float32)
     return DenseView(
-        np.zeros((*SIZE, 3), np.uint8), depth, reader, seen, vectors.astype(np.float32)
+        np.zeros((*SIZE, 3), np.uint8), depth, reader, visible, vectors.astype(np.float32)
     )
 
 
@@ -64,11 +64,11 @@ def test_gaps_are_those_of_the_formula(view, rivals):
 
 def test_cosines_do_not_depend_on_the_number_of_threads(view):
     flat, texts = view.vectors.reshape(-1, view.vectors.shape[2]), view.reader.vectors(TEXTS)
-    found = [np.empty((3, len(flat))) for _ in range(2)]
-    for count, into in zip((1, 2), found, strict=True):
+    actual = [np.empty((3, len(flat))) for _ in range(2)]
+    for count, into in zip((1, 2), actual, strict=True):
         with kernels_on(count):
             share(cosines, len(flat), flat, texts.astype(np.float64), into)
-    assert found[0].tobytes() == found[1].tobytes()
+    assert actual[0].tobytes() == actual[1].tobytes()
 
 
 @pytest.mark.parametrize("text", TEXTS)
@@ -99,9 +99,9 @@ def test_segments_go_to_the_best_text(view):
 
 
 def test_gaps_of_small_vectors_are_bilinear_between_their_pixels(view):
-    few = view.vectors[2::4, 2::4].copy()
-    small = DenseView(view.rgb, view.depth, view.reader, view.seen, few)
-    centres = [np.arange(length) * 4 + 2.0 for length in few.shape[:2]]
+    coarse = view.vectors[2::4, 2::4].copy()
+    small = DenseView(view.rgb, view.depth, view.reader, view.seen, coarse)
+    centres = [np.arange(length) * 4 + 2.0 for length in coarse.shape[:2]]
     rows, columns = (
         (np.arange(length) + 0.5).clip(at[0], at[-1])
         for length, at in zip(SIZE, centres, strict=True)

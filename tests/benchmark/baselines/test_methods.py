@@ -1,4 +1,4 @@
-"""What every method of the table must do, and what each of them is."""
+"""Requirements of every method in the table, and checks of each method's definition."""
 
 from dataclasses import replace
 from functools import cache
@@ -32,9 +32,9 @@ def load_quick(name: str) -> Method:
 
 
 @pytest.fixture(scope="module")
-def answering(given):
+def answering(room_inputs):
     """Each method prepared once: a function of the row's name."""
-    return cache(lambda name: load_quick(name)(given))
+    return cache(lambda name: load_quick(name)(room_inputs))
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +81,11 @@ def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
 
 
 def test_vectors_that_take_much_memory_are_rendered_smaller(answering, room, monkeypatch):
-    method, most = answering("langsplat-like"), "langsplat_like.MAX_ELEMENTS"
+    method, limit = answering("langsplat-like"), "langsplat_like.MAX_ELEMENTS"
     camera = room.sample.targets[0].camera
     numbers = method.render(camera).vectors.size
     for share, shape in ((1, (104, 144)), (4, (52, 72)), (5, (26, 36))):
-        monkeypatch.setattr(f"slgaussian.benchmark.baselines.{most}", numbers // share)
+        monkeypatch.setattr(f"slgaussian.benchmark.baselines.{limit}", numbers // share)
         view = method.render(camera)
         assert view.vectors.shape[:2] == shape and view.rgb.shape == (104, 144, 3)
         (hit,) = view.query_all([PLAIN])
@@ -95,7 +95,7 @@ def test_vectors_that_take_much_memory_are_rendered_smaller(answering, room, mon
 @pytest.mark.parametrize("name", ["langsplat-like", "no-association"])
 def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
     texts = list(room.truth["view_01"])
-    again = load_quick(name)(fresh).render(room.sample.targets[0].camera)
+    repeated = load_quick(name)(fresh).render(room.sample.targets[0].camera)
 
     def answers(view):
         images = [view.rgb, view.ids, view.depth, view.segment(texts)]
@@ -103,7 +103,7 @@ def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
         images += [image for hit in hits for image in (hit.relevancy, hit.mask)]
         return [image.tobytes() for image in images], [(hit.point, hit.score) for hit in hits]
 
-    assert answers(again) == answers(view_of(name))
+    assert answers(repeated) == answers(view_of(name))
 
 
 def test_bad_settings_are_refused():
@@ -113,10 +113,10 @@ def test_bad_settings_are_refused():
         load_method("langsplat-like", optimised=True)
 
 
-def test_without_association_no_object_is_in_two_views(answering, given):
+def test_without_association_no_object_is_in_two_views(answering, room_inputs):
     bank = answering("no-association").bank
     assert (bank.present.sum(1) == 1).all()
-    ids = [set(np.unique(labels)) - {0} for labels in given.own_labels.labels]
+    ids = [set(np.unique(labels)) - {0} for labels in room_inputs.own_labels.labels]
     assert len(ids) == 2 and not ids[0] & ids[1]
     assert sorted(ids[0] | ids[1]) == bank.ids.tolist() == list(range(1, len(bank) + 1))
 

@@ -52,11 +52,11 @@ class View:
         return unknown
 
     def query_all(self, texts, **rules):
-        """Where each text is, on its own."""
+        """Answer each text independently."""
         return [Answer(t, self._relevancy(t), self.within, self.unknown_words(t)) for t in texts]
 
     def segment(self, texts, **rules):
-        """Which text fits each pixel best, from 1 on."""
+        """Return the best text for each pixel, counted from 1."""
         return np.argmax([self._relevancy(t) for t in texts], 0).astype(np.int32) + 1
 
     def _relevancy(self, text):

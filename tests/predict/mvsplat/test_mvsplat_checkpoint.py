@@ -1,4 +1,4 @@
-"""Which files are taken for checkpoints, and what is said of others."""
+"""Files that are read as checkpoints, and messages about others."""
 
 import pytest
 import torch

@@ -34,7 +34,7 @@ NOISE = 5
 
 @pytest.fixture(scope="module")
 def result(network, reference, cameras) -> dict[str, np.ndarray]:
-    """What our network says at every stage, in the shapes of the reference."""
+    """Outputs of our network at every stage, in the shapes of the reference."""
     observed: dict[str, torch.Tensor] = {}
     depth = network.depth_predictor
 

@@ -80,8 +80,8 @@ def test_strips_leave_no_seams(network, monkeypatch):
     inputs = [torch.rand(2, *size, generator=generator) for size in sizes]
     predict = partial(network.depth_predictor, *inputs, cost_volume.spread(1.0, 100.0, 128))
     with torch.no_grad():
-        whole = predict()
+        in_one_strip = predict()
         monkeypatch.setattr("slgaussian.predict.mvsplat.depth.STRIP_ROWS", 20)
         strips = predict()
-    for first, second in zip(whole, strips, strict=True):
+    for first, second in zip(in_one_strip, strips, strict=True):
         torch.testing.assert_close(first, second, rtol=0, atol=5e-6)
