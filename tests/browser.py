@@ -58,19 +58,19 @@ def executable() -> str | None:
 
 
 def _end_with_parent() -> None:
-    """Have this process told to end when the one that started it does, however it does."""
+    """Ask the kernel to end this process when its parent ends."""
     ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
 
 
 class PageError(Exception):
-    """A script of the page threw, or what a test waited for did not come."""
+    """An exception in a script of the page, or a condition that did not become true in time."""
 
 
 class Browser:
-    """A Chromium with a profile of its own; a context manager that ends it.
+    """A Chromium with a new profile; as a context manager it is closed at the end.
 
     Raises:
-        PageError: If it does not start; the message holds what it said.
+        PageError: If it does not start; the message contains its output.
     """
 
     def __init__(self, *options: str) -> None:
@@ -107,7 +107,7 @@ class Browser:
 
     @contextlib.contextmanager
     def open(self, url: str, width: int = 1200, height: int = 800) -> Iterator[Tab]:
-        """A new tab that shows ``url``, with a view of this size in CSS pixels; closed after it."""
+        """Open ``url`` in a new tab with a viewport in CSS pixels; close it at the end."""
         # No pings: while software draws, a busy machine answers none for longer than they wait.
         waits: dict[str, Any] = {"open_timeout": PATIENCE, "ping_interval": None}
         with connect(f"ws://{self.address}", max_size=None, proxy=None, **waits) as socket:
@@ -120,7 +120,7 @@ class Browser:
                     tab.send("Target.disposeBrowserContext", {"browserContextId": tab.context})
 
     def resident_bytes(self) -> int:
-        """Memory of all its processes, each page shared by k of them counted as 1/k."""
+        """Return the memory of all processes; a page shared by k of them counts 1/k."""
         total = 0
         for folder in Path("/proc").iterdir():
             with contextlib.suppress(OSError, ValueError):
@@ -130,7 +130,7 @@ class Browser:
         return total
 
     def close(self) -> None:
-        """End all its processes, and remove its profile."""
+        """End all processes and remove the profile."""
         for sign in (signal.SIGTERM, signal.SIGKILL):
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.process.pid, sign)
@@ -140,7 +140,7 @@ class Browser:
 
 
 class Tab:
-    """A page that is open.
+    """An open page.
 
     Attributes:
         requests: list of str. Every URL that it asked for, its own first; ``blob:`` and ``data:``
@@ -173,7 +173,7 @@ class Tab:
         self.wait("document.readyState === 'complete'")
 
     def send(self, method: str, values: dict[str, Any], session: str = "") -> dict[str, Any]:
-        """A call of the protocol; events that come before its answer are noticed."""
+        """Call a method of the protocol; record events that arrive before the answer."""
         number = next(self._numbers)
         message: dict[str, Any] = {"id": number, "method": method, "params": values}
         if session:
@@ -189,11 +189,11 @@ class Tab:
                 self._notice(answer["method"], answer["params"])
 
     def call(self, method: str, **values: Any) -> dict[str, Any]:
-        """A call of the protocol to this page."""
+        """Call a method of the protocol for this page."""
         return self.send(method, values, self._session)
 
     def evaluate(self, script: str) -> Any:
-        """The value of an expression in the page, a promise awaited; PageError if it throws."""
+        """Evaluate an expression in the page, awaiting promises; PageError if it throws."""
         answer = self.call(
             "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
         )
@@ -213,7 +213,7 @@ class Tab:
         return value
 
     def settle(self, seconds: float = PATIENCE) -> np.ndarray:
-        """The picture once two in turn are equal; PageError if it never comes to rest."""
+        """Return the screenshot when two in a row are equal; PageError if they keep changing."""
         end, last = time.monotonic() + seconds, self.screenshot()
         while time.monotonic() < end:
             now = self.screenshot()
@@ -255,7 +255,7 @@ class Tab:
         self.click(*box)
 
     def type(self, text: str) -> None:
-        """Type text into what has the focus."""
+        """Type text into the focused element."""
         self.call("Input.insertText", text=text)
 
     def press(self, key: str) -> None:

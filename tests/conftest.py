@@ -55,7 +55,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def own_copies(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Views and files of stores are kept apart from those of the user."""
+    """Use a cache folder of the tests, not the user's."""
     os.environ.setdefault("SLGAUSSIAN_CACHE", str(tmp_path_factory.mktemp("copies")))
 
 
@@ -70,7 +70,7 @@ def real_data() -> Path:
 
 @pytest.fixture
 def one_thread() -> Iterator[None]:
-    """For small networks: a thread more gains little there, and on a busy machine it costs much."""
+    """Run small networks on one thread: more gain little, and cost much on a busy machine."""
     threads.limit(threads.cores())
     yield
     threads.limit()

@@ -1,4 +1,4 @@
-"""Bytes of files damaged in ways that fit their kind."""
+"""Damage to the bytes of files, suited to their format."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SIZES = [0, 1, 2, 255, 20_000, 65_535, 2**31 - 1, 2**32 - 1]
 
 
 def damaged(data: bytes, name: str, rng: random.Random) -> bytes:
-    """The file with one to three places damaged, in ways that fit its kind, or in any."""
+    """Damage one to three places of a file, in ways that suit its format, or at random."""
     ways = WAYS.get(Path(name).suffix.lower(), [])
     original, left = data, rng.choice([1, 1, 1, 2, 3])
     while left > 0 or data == original:
@@ -128,7 +128,7 @@ def any_json(data: bytes, rng: random.Random) -> bytes:
 
 
 def any_member(data: bytes, rng: random.Random) -> bytes:
-    """A member of a zip archive damaged, its checksum right."""
+    """Damage a member of a zip archive; its checksum is updated."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [(name, archive.read(name)) for name in archive.namelist()]
     at = rng.randrange(len(members))
@@ -191,13 +191,13 @@ def any_npy(data: bytes, rng: random.Random) -> bytes:
 
 
 def any_head(data: bytes, rng: random.Random) -> bytes:
-    """The text of a .ply's header damaged."""
+    """Damage the header of a .ply file."""
     end = data.index(b"end_header")
     return any_text(data[:end], rng) + data[end:]
 
 
 def any_png(data: bytes, rng: random.Random) -> bytes:
-    """A part of a PNG damaged, its checksum right."""
+    """Damage a chunk of a PNG; its checksum is updated."""
     parts, at = [], 8
     while at < len(data):
         (length,) = struct.unpack(">I", data[at : at + 4])
@@ -226,7 +226,7 @@ def any_png(data: bytes, rng: random.Random) -> bytes:
 
 
 def any_tensors(data: bytes, rng: random.Random) -> bytes:
-    """The header of a safetensors file damaged, its length right."""
+    """Damage the header of a safetensors file; its length is updated."""
     (length,) = struct.unpack("<Q", data[:8])
     header = rng.choice([any_json, any_text])(data[8 : 8 + length], rng)
     return struct.pack("<Q", len(header)) + header + data[8 + length :]

@@ -18,7 +18,7 @@ TYPES: Mapping[str, str | None] = {
 
 
 def read_document(data: bytes, spec: Spec, file: str) -> Any:
-    """Read a JSON file; SpecError if it is not what ``spec`` says."""
+    """Read a JSON file; SpecError if it contradicts ``spec``."""
     content = strict_json.parse(data)
     json.dumps(content, allow_nan=False)
     check_document(content, spec, file)
@@ -26,7 +26,7 @@ def read_document(data: bytes, spec: Spec, file: str) -> Any:
 
 
 def check_document(content: Any, spec: Spec, file: str) -> None:
-    """Raise :class:`SpecError` at the first value that is not what ``spec`` says."""
+    """Raise :class:`SpecError` for the first value that contradicts ``spec``."""
     from jsonschema import Draft202012Validator
     from jsonschema.exceptions import best_match
 

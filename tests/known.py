@@ -1,4 +1,4 @@
-"""Fields of known Gaussians and label maps, for tests of what comes after those."""
+"""Fields of known Gaussians and label maps, for tests of later stages."""
 
 from slgaussian.build import build_memory_bank, lift_field
 from slgaussian.cameras.quality import Quality
@@ -28,7 +28,7 @@ def known_field(
     method: Method | None = None,
     bank: MemoryBank | None = None,
 ) -> SemanticField:
-    """The field of these Gaussians and label maps; without a method, of all of them."""
+    """Build a field of Gaussians and label maps; without a method, of all Gaussians."""
     method = method or Method(keep="all")
     bank = bank or known_bank(sample, gaussians, labels, method)
     return lift_field(sample, gaussians, labels, bank, method, QUALITY)

@@ -56,7 +56,7 @@ def picture(seed: int, *shape: int, top: int = 256) -> np.ndarray:
 
 
 def all_views(scene: Scene) -> None:
-    """Read all of them, whatever is wrong with some; then say what was wrong first."""
+    """Read all views, also after an error; then raise the first one."""
     first = None
     for name in scene.cameras:
         try:
@@ -411,7 +411,7 @@ FORMATS = {
 
 
 def trial(name: str, number: int, seed: int, folder: Path) -> None:
-    """Damage one file of the set in ``folder``, read the set, and put the file right again."""
+    """Damage one file of the set in ``folder``, read the set, and restore the file."""
     kind = FORMATS[name]
     rng = random.Random(f"{seed} {name} {number}")
     files = sorted(folder.glob(rng.choice(kind.files)))

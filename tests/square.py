@@ -1,7 +1,4 @@
-"""A field with an exact truth: a wall of three colours, and a square in front of its middle.
-
-Two cameras see it from the sides.
-"""
+"""A field with exact ground truth: a wall of three colours behind a square, seen from two sides."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -31,7 +28,7 @@ def camera(x: float) -> Camera:
 
 
 def looked(cam: Camera, square: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Labels int32 [H, W] and depth of what a camera sees, with the square or without."""
+    """Return labels int32 [H, W] and depth of a view, with or without the square."""
     size = cam.height, cam.width
     wall, near = (cam.unproject(np.full(size, z)) for z in (WALL, NEAR))
     bands = np.digitize(wall[..., 0], [-0.6, 0.6])

@@ -1,4 +1,4 @@
-"""Benches are no part of the suite; what they say of a wrong argument is."""
+"""Arguments of benches, and the blocks that they write into pages."""
 
 import importlib
 import re

@@ -1,4 +1,4 @@
-"""The front door: which settings of parts it takes, and how they are written down."""
+"""`build_field`: settings of components, and their record in the field."""
 
 import hashlib
 from dataclasses import replace
@@ -95,7 +95,7 @@ def field(pair) -> SemanticField:
 
 
 def bytes_of(field: SemanticField) -> dict[str, bytes]:
-    """All arrays of the field, and an answer, as bytes."""
+    """Return all arrays of a field and an answer as bytes."""
     arrays = {f"Gaussians {name}": t.numpy() for name, t in field.gaussians.items()}
     arrays |= {f"bank {name}": getattr(field.bank, name) for name in ("ids", "codes", "features")}
     view = field.render(next(iter(field.cameras.values())))

@@ -1,4 +1,4 @@
-"""The container recipe, which nothing here can build, is true to the repository all the same."""
+"""The container recipe, which is not built here, matches the repository."""
 
 import json
 import re

@@ -1,7 +1,4 @@
-"""The wheel and the source archive hold just what they should.
-
-Every other test runs from the source tree, where a file is found whether it is installed or not.
-"""
+"""Content of the wheel and the source archive; all other tests run from the source tree."""
 
 import os
 import shutil

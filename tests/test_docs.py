@@ -1,4 +1,4 @@
-"""The words of the documentation against the repository: links, files, commands and options."""
+"""Links, files, commands and options in the documentation exist."""
 
 import ast
 import json
@@ -175,7 +175,7 @@ def problem_of_bench(line: str) -> str | None:
 
 
 def problem(line: str) -> str | None:
-    """Return the reason why the command line refuses ``line``; values of options are not checked."""
+    """Return the reason why the command line refuses ``line``, without values of options."""
     words = shlex.split(line, comments=True)[1:]
     command, path = COMMANDS, "slgaussian"
     while hasattr(command, "commands") and words:

@@ -1,4 +1,4 @@
-"""The quality of the whole method has a floor.
+"""Lower bounds on the quality of the method.
 
 ``python -m benches.scores.score_floors 3 DATA`` printed the numbers that are said to be measured,
 of three draws of the ID codes; nothing else is random. A floor leaves some room for a processor

@@ -1,4 +1,4 @@
-"""The notebook, run from its first cell to its last as a reader runs it."""
+"""The notebook runs from its first cell to its last."""
 
 from pathlib import Path
 

@@ -83,7 +83,7 @@ def test_a_camera_that_cannot_be_is_refused(change, sentence):
 
 @pytest.mark.parametrize("size", [(11, 15), (24, 32), (37, 50)])
 def test_resized_truths_are_those_of_pixels_and_no_mixtures(size):
-    """Between the objects 2 and 90 there is no object 46, and between two surfaces no third one."""
+    """Resizing makes no id 46 between objects 2 and 90, and no depth between two surfaces."""
     full = view(cam=camera())
     left = np.arange(32) < 13
     ids = np.where(left, 2, 90).astype(np.int32)[None].repeat(24, 0)

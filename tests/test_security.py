@@ -55,7 +55,7 @@ BAD_NAMES = [
 
 
 def huge_png(width: int = 30_000, height: int = 30_000) -> bytes:
-    """A PNG that says that it is huge, and has no pixel to show for it."""
+    """Return a PNG with a huge size in its header and no pixels."""
     out = b"\x89PNG\r\n\x1a\n"
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
     for kind, content in ((b"IHDR", head), (b"IDAT", zlib.compress(b"")), (b"IEND", b"")):
@@ -196,7 +196,7 @@ class TestLargeImages:
             read_npy(tmp_path / "a.npy")
 
     def test_other_kinds_of_file_are_not_opened(self, tmp_path):
-        """Pillow would start Ghostscript for this one, whatever it is called."""
+        """Pillow would start Ghostscript for this file under any name."""
         (tmp_path / "a.png").write_bytes(
             b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EOF\n"
         )

@@ -34,7 +34,7 @@ class Room:
 
     @property
     def strange_truth(self) -> dict[str, dict[str, np.ndarray]]:
-        """The truth with one word nobody knows and one thing that is not there."""
+        """Return the truth with an unknown word and a query of an absent object."""
         masks = self.truth["view_01"]
         some = next(iter(masks.values()))
         return {"view_01": masks | {"qqwx": some, "red sofa": np.zeros_like(some)}}
@@ -42,7 +42,7 @@ class Room:
     def evaluate(
         self, truth: Mapping | None = None, boxes: Mapping | None = None, **settings: Any
     ) -> SceneResult:
-        """Ask the field what its own truth knows, or another one."""
+        """Evaluate the field with its own ground truth, or another one."""
         frame_truth = Truth(self.truth if truth is None else truth, boxes or {})
         evaluation = EvaluationSettings(**settings)
         return evaluate(
@@ -57,7 +57,7 @@ class Room:
 
 @pytest.fixture(scope="session")
 def room() -> Room:
-    """Labels are the true instances: masks have their own tests, here their errors would blur."""
+    """Build the room with true instances as labels, as errors of masks would blur the scores."""
     scene = datasets.load("procedural", seed=3, objects=4, views=3, height=104, width=144)
     sample = scene.sample(["view_00", "view_02"], ["view_01"])
     labels = np.stack([view.instances for view in sample.context])

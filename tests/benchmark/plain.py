@@ -1,7 +1,4 @@
-"""The scores once more, written plainly from their definitions: sets, loops and SciPy.
-
-Nothing of the library is used here but a frame's arrays.
-"""
+"""Reference scores from their definitions: sets, loops and SciPy, without code of the library."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Rooms in which one stage is broken on purpose: the verdict has to name it."""
+"""Attribution of errors: rooms in which one stage is broken; the verdict must name it."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from tests.known import known_field
 
 
 def build(sample, labels, ratio=1.0):
-    """A field of these labels with the true geometry, or nearer, that knows its objects' names."""
+    """Build a field from labels, true or scaled geometry, and known names of the objects."""
     cameras, depths, colours = zip(
         *((v.camera, v.depth, v.image.astype(np.float32) / 255) for v in sample.context),
         strict=True,
@@ -45,12 +45,12 @@ def build(sample, labels, ratio=1.0):
 
 @pytest.fixture(scope="module")
 def exact(room):
-    """The room with its true geometry and names: nothing in it is lost."""
+    """Return the room with its true geometry and names, in which no query is missed."""
     return build(room.sample, room.label_maps.labels)
 
 
 def rows_of(room, field, **settings):
-    """The rows of the attribution, by query."""
+    """Return the rows of the attribution by query."""
     gaussians = room.gaussians if field is room.field else field.gaussians
     evaluation = EvaluationSettings(**settings)
     rows = attribute_errors(field, gaussians, room.sample, Truth(room.truth), evaluation)
@@ -59,7 +59,7 @@ def rows_of(room, field, **settings):
 
 @pytest.fixture(scope="module")
 def thing(room):
-    """The largest thing that lies well inside the target, and what lies around it: their ids."""
+    """Return the id of the largest object inside the target, and of the object around it."""
     instances = room.sample.targets[0].instances
     inner = instances[4:-4, 4:-4]
     areas = {k: (inner == k).sum() for k in room.sample.phrases if (instances == k).sum()}
@@ -129,7 +129,7 @@ def test_wrong_depth_is_mended_by_nothing(room):
 
 
 def test_what_something_hides_is_not_carried_back():
-    """A wall, and a board in front of its middle that only the target sees."""
+    """The scene is a wall behind a board that only the target shows."""
     K = np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]])
     aside = np.eye(4)
     aside[0, 3] = 0.5
@@ -168,7 +168,7 @@ def test_the_best_threshold_is_the_best_of_all_thresholds(objects):
 
 
 def test_whole_things_are_as_many_as_the_truth_has_parts():
-    """Three cushions make a sofa; a chair of one piece stands apart."""
+    """A sofa has three parts; a chair has one."""
     ids = np.zeros((20, 40), np.int32)
     for k in range(3):
         ids[5:15, 5 * k : 5 * k + 5] = k + 1

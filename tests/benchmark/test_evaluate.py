@@ -146,7 +146,7 @@ def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(roo
 
 
 def test_the_first_protocol_leads(room, answered):
-    """It decides what is drawn, and the scene's metrics, and no score."""
+    """The first protocol decides pictures and metrics of the scene, but no score."""
     led = room.evaluate(protocols=["langsplat", "slgaussian", "3d-ovs"])
     assert led.rows[0]["protocol"] == "langsplat@2"
     assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in rows_of(led, "langsplat")])
@@ -160,9 +160,9 @@ def test_the_first_protocol_leads(room, answered):
 
 
 class Watched:
-    """A method with nothing but what methods must have, which tells what it is asked.
+    """A method with the required interface only, which records its queries.
 
-    A drawing takes 100 seconds of its own clock, a text one, and the first answer 1000 more.
+    Rendering takes 100 seconds of a simulated clock, a text 1, and the first answer 1000 more.
     """
 
     def __init__(self, field, relevancy=None):
@@ -253,7 +253,7 @@ def test_an_answer_that_is_no_relevancy_is_refused(room, relevancy, message):
 
 
 def test_hard_truths_are_scored_without_nan(room):
-    """One pixel, everything, nothing; and what the encoder knows but the room does not show."""
+    """Masks of one pixel, all pixels and none; and a known word that the room does not show."""
     some = next(iter(room.truth["view_01"].values()))
     one, corner = np.zeros_like(some), np.zeros_like(some)
     one[50, 70] = corner[0, 0] = True

@@ -1,4 +1,4 @@
-"""Masks that were made elsewhere: scored as a run scores its own, or refused in one sentence."""
+"""Masks of other programs are scored like those of a run, or refused in one sentence."""
 
 import json
 import shutil

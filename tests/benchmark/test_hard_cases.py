@@ -1,4 +1,4 @@
-"""The hard cases that `slgaussian doctor` measures: good here, and not where the code is wrong."""
+"""The hard cases of `slgaussian doctor` pass, and fail for wrong code."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Every protocol against the plain definitions, on drawn and real polygons, easy and hard."""
+"""Protocols compared with reference scores, on synthetic and real polygons, easy and hard."""
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ def scored(name, frame, rules=None):
 
 
 def check(frame):
-    """All scores of all queries are the plain ones."""
+    """Check that all scores of all queries equal the reference."""
     for name in PROTOCOLS:
         for k, item in enumerate(scored(name, frame)):
             if not frame.masks[k].any():
@@ -43,7 +43,7 @@ def box_of(mask):
 
 
 def frame_of(truths, seed):
-    """Answers of a made-up method that sees objects: one relevancy each, most of them sensible."""
+    """Return random answers of a method with one relevancy for each object, mostly plausible."""
     rng = np.random.default_rng(seed)
     ids = np.zeros(truths[0].shape, np.int32)  # objects: the truths, grown, moved and overlapping
     for k, truth in enumerate(truths):
@@ -166,7 +166,7 @@ def test_a_constant_relevancy(value, columns):
 
 
 def test_pixels_that_nothing_is_known_of_do_not_stretch_langsplats_range():
-    """Three values, 0.4 to 0.6, and a hole: the mask is that of the image without a hole."""
+    """Three values, 0.4 to 0.6, and a hole: the mask equals that of the image without a hole."""
     relevancy, truth = square(0.6, 0.4)
     relevancy[60:120, 200:250] = 0.5
     holed = relevancy.copy()

@@ -67,10 +67,10 @@ def test_one_scene_has_no_interval_and_few_have_a_rough_one():
 
 
 def test_every_scene_of_a_drawn_place_counts_alike():
-    """Against plain loops: the mean of all scenes drawn.
+    """Comparison with plain loops: the mean over all drawn scenes.
 
-    Of so many places no end of an interval is that of one place drawn again and again, whose score
-    is its own however places are weighed.
+    There are enough places that no end of an interval is a resampling of one place only, whose
+    score would not depend on the weights.
     """
     rng = np.random.default_rng(4)
     rows = []

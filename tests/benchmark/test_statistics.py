@@ -1,4 +1,4 @@
-"""Things are told apart only beyond noise."""
+"""Bootstrap intervals: differences count only beyond noise."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_samples_without_a_score_are_left_out():
 
 
 def plainly(groups: list, values: np.ndarray, draws: int) -> list[float]:
-    """The means of some resamplings by loops: groups, then as many values in each as it has."""
+    """Resample groups, then values within each group, in plain loops; return the means."""
     rng = np.random.default_rng(7)
     members = [values[np.array(groups) == name] for name in dict.fromkeys(groups)]
     means = []
@@ -38,10 +38,10 @@ def plainly(groups: list, values: np.ndarray, draws: int) -> list[float]:
 
 
 def test_groups_are_drawn_and_then_values_within_them():
-    """Against plain loops with random numbers of their own.
+    """Comparison with plain loops that use other random numbers.
 
-    The large group is the best, so means of groups would be another score than that of all values;
-    and its values differ, so groups drawn whole would have another interval.
+    The large group is the best, so the mean of group means differs from the mean of all values; its
+    values differ, so drawing whole groups would give another interval.
     """
     groups = list("babccbadefgggggg")
     values = np.random.default_rng(2).random(len(groups))

@@ -1,4 +1,4 @@
-"""Parts with their settings: complete, known by the content of their files, and checked."""
+"""Components with their settings: complete, identified by the content of files, checked."""
 
 import json
 import pickle

@@ -14,7 +14,7 @@ MODEL = ("config.json", "model.safetensors", "preprocessor_config.json", "vocab.
 
 
 def write(file: Path, text: str) -> Path:
-    """Write a file that was changed long ago, as far as its time tells."""
+    """Write a file with an old modification time."""
     file.parent.mkdir(parents=True, exist_ok=True)
     time.sleep(0.02)  # more than a tick of the clock
     file.write_text(text)

@@ -1,4 +1,4 @@
-"""Models are what the hub has, or can be loaded and hold numbers; anything else is one sentence."""
+"""Models equal those of the hub or can be loaded; anything else is refused in one sentence."""
 
 import hashlib
 import shutil

@@ -1,4 +1,4 @@
-"""A part that another package brings, as its entry point: everywhere where a built-in one is."""
+"""Components of other packages, by entry point, work like built-in ones."""
 
 import json
 import os
@@ -39,7 +39,7 @@ def command(*words: object) -> str:
 
 
 def package(folder: Path, name: str, line: str, code: str) -> Path:
-    """An installed package of one module, with one entry point."""
+    """Create an installed package of one module with one entry point."""
     (folder / f"{name}.dist-info").mkdir(parents=True)
     (folder / f"{name}.py").write_text(code)
     metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n"

@@ -1,4 +1,4 @@
-"""The command line as its users meet it, and two photographs to give it."""
+"""Helpers to run commands, and two photographs as their input."""
 
 import json
 import sys
@@ -27,7 +27,7 @@ ROOM = {
 
 
 def run(monkeypatch, *words) -> int:
-    """Exit status of ``slgaussian WORDS``."""
+    """Run ``slgaussian WORDS``; return the exit status."""
     monkeypatch.setattr(sys, "argv", ["slgaussian", *map(str, words)])
     with pytest.raises(SystemExit) as left:
         app.main()
@@ -35,7 +35,7 @@ def run(monkeypatch, *words) -> int:
 
 
 def settings(**values: object) -> list[str]:
-    """``--set KEY=VALUE`` for each."""
+    """Return ``--set KEY=VALUE`` for each setting."""
     return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
 
 
@@ -47,7 +47,7 @@ def score(settings, store, verbose: bool = False):
 
 
 def said(capsys) -> str:
-    """The one sentence of an error; that kernels are compiled may come before it, once."""
+    """Return the error message, one sentence, without the note that kernels are compiled."""
     lines = capsys.readouterr().err.splitlines(keepends=True)
     error = "".join(line for line in lines if not line.startswith("compiling kernels"))
     assert error.startswith("error: ") and error.count("\n") == 1
@@ -55,26 +55,26 @@ def said(capsys) -> str:
 
 
 def room(height: int = 64, width: int = 64, seed: int = 1) -> Scene:
-    """The room of :data:`ROOM`, small."""
+    """Return a small procedural room."""
     options = {**ROOM["options"], "seed": seed}
     return datasets.load("procedural", **options, height=height, width=width)
 
 
 def room_sample() -> Sample:
-    """Its two context views, 64 x 64 pixels."""
+    """Return a sample of the room's two context views, 64 x 64 pixels."""
     return room().sample(ROOM["context"], near=0.8, far=12.0)
 
 
 def save_photographs(
     folder: Path, height: int = 64, width: int = 64, names=ROOM["context"], seed: int = 1
 ) -> Path:
-    """Views as files, with their cameras in ``transforms.json``."""
+    """Write views as files, with their cameras in ``transforms.json``."""
     scene = room(height, width, seed)
     return write_photographs(folder, {f"{name}.png": scene.read(name) for name in names})
 
 
 def write_photographs(folder: Path, views: dict[str, View]) -> Path:
-    """Views as PNG files by their paths, with their cameras in ``transforms.json``."""
+    """Write views as PNG files, with their cameras in ``transforms.json``; return the paths."""
     frames = []
     for name, view in views.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -89,13 +89,13 @@ def write_photographs(folder: Path, views: dict[str, View]) -> Path:
 
 
 def files_below(folder: Path, hidden: tuple[str, ...] = ()) -> dict[str, bytes]:
-    """Content of all files of a folder by their paths, but of those that begin so."""
+    """Read all files of a folder by path, except those whose paths begin with ``hidden``."""
     files = {str(p.relative_to(folder)): p for p in sorted(folder.rglob("*")) if p.is_file()}
     return {name: p.read_bytes() for name, p in files.items() if not name.startswith(hidden)}
 
 
 def two_walls(folder: Path) -> Path:
-    """A field: a red and a blue wall side by side, each an object, seen from two cameras."""
+    """Build a field of a red and a blue wall, each an object, seen from two cameras."""
     K = np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]])
     right = np.eye(4)
     right[0, 3] = 0.2
@@ -131,7 +131,7 @@ def two_walls(folder: Path) -> Path:
 
 
 def transforms(folder, shift=0.0) -> Path:
-    """A camera file without photographs: one frame, 96x64, ``shift`` to the right."""
+    """Write a camera file without photographs: one frame, 96x64, moved right by ``shift``."""
     pose = np.diag([1.0, -1, -1, 1])  # OpenGL's axes
     pose[0, 3] = shift
     frame = {"file_path": "new/007.png", "transform_matrix": pose.tolist()}

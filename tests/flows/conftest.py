@@ -1,4 +1,4 @@
-"""Commands by their answers, a field to ask, and short paths for what programs store."""
+"""Fixtures that run commands, a field to query, and short paths for homes of programs."""
 
 import json
 import tempfile
@@ -11,7 +11,7 @@ from command import run, said, two_walls
 
 @pytest.fixture
 def slg(monkeypatch, capsys):
-    """The exit status of a command, its output, and its errors."""
+    """Run a command; return exit status, output and errors."""
 
     def call(*words):
         capsys.readouterr()
@@ -22,7 +22,7 @@ def slg(monkeypatch, capsys):
 
 @pytest.fixture
 def ask(slg):
-    """The exit status of a command, and each line that it prints, read as JSON."""
+    """Run a command; return exit status and each printed line, parsed as JSON."""
 
     def call(*words):
         status, out, _ = slg(*words, "--json")
@@ -33,7 +33,7 @@ def ask(slg):
 
 @pytest.fixture
 def refusal(monkeypatch, capsys):
-    """The one sentence with which a command ends in status 2."""
+    """Run a command that ends with status 2; return its error message."""
 
     def call(*words):
         capsys.readouterr()

@@ -1,4 +1,4 @@
-"""A program for the tests: runs of tiny stages on a disk that fills, and then has room again.
+"""A program of the tests: runs of tiny stages on a disk that fills and is then emptied.
 
 Its argument is a folder to mount a small disk on, which needs a mount namespace of its own.
 """

@@ -13,7 +13,7 @@ LOOPBACK = ("0100007F", "0000000000000000FFFF00000100007F", "0000000000000000000
 
 
 def below(process: int) -> dict[int, str]:
-    """All that a process began, and all that those began: when each began, by number."""
+    """Return the descendants of a process: start time by process id."""
     children = defaultdict(list)
     begun = {}
     for number in map(int, filter(str.isdigit, os.listdir(PROC))):
@@ -29,7 +29,7 @@ def below(process: int) -> dict[int, str]:
 
 
 def living(processes: dict[int, str]) -> list[str]:
-    """Those of :func:`below` that live still: their command lines."""
+    """Return the command lines of descendants that are still alive."""
     result = []
     for number, begun in processes.items():
         fields = stat_of(number)
@@ -55,7 +55,7 @@ def listening(process: int) -> list[tuple[str, str]]:
 
 
 def stat_of(process: int) -> list[str] | None:
-    """The fields after the name, state and parent first; None if there is no such process."""
+    """Return the fields of ``stat`` after the name; None if the process does not exist."""
     try:
         return (PROC / f"{process}/stat").read_text().rpartition(")")[2].split()
     except OSError:

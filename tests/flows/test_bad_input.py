@@ -1,4 +1,4 @@
-"""Photographs and camera files that cannot be used: alone, and as one scene of a batch."""
+"""Unusable photographs and camera files, alone and as one scene of a batch."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ LAST = "images/view_02.png"
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
-    """A small made-up room as a nerfstudio folder."""
+    """Return a small procedural room as a nerfstudio folder."""
     folder = tmp_path_factory.mktemp("bad") / "room"
     write_room(folder, seed=1)
     return folder
@@ -55,7 +55,7 @@ def skewed(folder, frame):
 
 
 def turned(degrees, move=1.0):
-    """The pose of the first photograph, turned and moved."""
+    """Return the pose of the first photograph, rotated and moved."""
 
     def damage(folder, frame):
         first = json.loads((folder / "transforms.json").read_text())["frames"][0]
@@ -94,7 +94,7 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def rooms(room):
-    """Folders by kind of damage, each a copy of the good room but for that."""
+    """Return damaged copies of the room's folder, by kind of damage."""
     folders = {}
     for name, (damage, *_) in BAD.items():
         folder = shutil.copytree(room, room.parent / name)

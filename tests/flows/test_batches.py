@@ -20,7 +20,7 @@ def store(tmp_path):
 
 
 class Runs:
-    """Runs two scenes and tells which stages ran; no two of its artifacts are equal."""
+    """Runner of two scenes that lists the executed stages; all artifacts differ."""
 
     def __init__(self, store, folder):
         self.store, self.log = store, folder / "log"

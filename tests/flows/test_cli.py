@@ -1,4 +1,4 @@
-"""A field asked, drawn and exported by commands."""
+"""Queries, renderings and exports of a field by commands."""
 
 import json
 import shutil

@@ -83,7 +83,7 @@ STAGE_OF = {
 
 
 def settings_for(places: dict[str, Path], *names: str, **values) -> Settings:
-    """Settings of the room with these components."""
+    """Return settings of the room with components."""
     for name in names:
         kind, setting, local, _ = CASES[name]
         values |= {kind: name, name: {setting: str(places[name]), **local, **values.get(name, {})}}
@@ -92,7 +92,7 @@ def settings_for(places: dict[str, Path], *names: str, **values) -> Settings:
 
 
 def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:
-    """The arguments of every stage of a pipeline, by the stage's name."""
+    """Return the arguments of every stage of a pipeline by its name."""
     calls = {}
 
     def called(stage: Stage, *args, **kwargs) -> ArtifactRef:

@@ -1,4 +1,4 @@
-"""A corpus of chunks: what is new is read once, what is bad costs itself alone."""
+"""A corpus of chunks: new files are read once, and damaged ones cost no others."""
 
 import os
 import re
@@ -39,7 +39,7 @@ def clips():
 
 
 def aged(folder: Path) -> None:
-    """Make chunks look as if they had been there for a while."""
+    """Give chunks an old modification time."""
     for file in folder.glob("*.torch"):
         os.utime(file, (time.time() - 60,) * 2)
 
@@ -64,7 +64,7 @@ TIMED = ("log.",)
 
 @pytest.fixture
 def reads(monkeypatch):
-    """Counts what is done to chunks: ``hashed`` and ``opened``; and what is ``predicted``."""
+    """Count how often chunks are ``hashed`` and ``opened``, and samples ``predicted``."""
     from tasks import chunks
 
     counts, load = Counter(), Component.load

@@ -1,4 +1,4 @@
-"""A training set: what is in it, that it is steady, and that anybody reads it."""
+"""A training set: its content, its reproducibility, and its readers."""
 
 import hashlib
 import json
@@ -56,7 +56,7 @@ def made_set(settings, store: ArtifactStore) -> dataset.TrainingSetResult:
 
 @pytest.fixture(scope="module")
 def output(tmp_path_factory, server):
-    """Two chunks of a clip and a folder, as a set; the folder is of the place of the first."""
+    """Build a set of two chunks with a clip each and a folder, of the place of the first clip."""
     folder = tmp_path_factory.mktemp("dataset")
     for seed in (0, 1):
         re10k.write(

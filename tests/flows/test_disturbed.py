@@ -1,4 +1,4 @@
-"""Other runs on the same store, a disk that fills, a server that dies."""
+"""Runs beside other runs on one store, on a full disk, and without their server."""
 
 import json
 import os
@@ -24,7 +24,7 @@ NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
 
 @pytest.fixture(scope="module")
 def complete(server, tmp_path_factory):
-    """The refs of a run that nobody disturbed."""
+    """Return the refs of an undisturbed run."""
     folder = tmp_path_factory.mktemp("whole")
     return run_tiny(ArtifactStore(folder / "store"), three_scenes(folder / "log")).refs
 

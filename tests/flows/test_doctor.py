@@ -13,7 +13,7 @@ NOBODY = "http://127.0.0.1:9/api"
 
 @pytest.fixture
 def examined(slg):
-    """Exit status, and the lines by mark: ok, BAD."""
+    """Run ``slgaussian doctor``; return exit status and lines by mark (ok, BAD)."""
 
     def examined(*words) -> tuple[int, dict[str, list[str]]]:
         status, out, _ = slg("doctor", *words)
@@ -37,7 +37,7 @@ def test_a_healthy_installation(server, tmp_path, examined):
 
 @pytest.mark.whole
 def test_it_leaves_nothing_that_it_made(tmp_path, monkeypatch, examined):
-    """With a server of its own, whose database is not left either."""
+    """The command starts a server, whose database is removed too."""
     monkeypatch.delenv("PREFECT_API_URL")
     monkeypatch.delenv("PREFECT_HOME", raising=False)
     monkeypatch.chdir(tmp_path)

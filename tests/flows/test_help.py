@@ -83,7 +83,7 @@ def test_assignments_are_values_of_a_configuration(assignments, expected):
 
 @EACH
 def test_every_example_is_understood(words):
-    """All that can be told without doing the work: names, options and their types."""
+    """Checked without running: names, options and their types."""
     doc = inspect.cleandoc(COMMANDS[words].help).replace("\\\n", " ")
     examples = [line for line in map(str.strip, doc.splitlines()) if line.startswith("slgaussian ")]
     assert examples

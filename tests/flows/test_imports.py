@@ -24,7 +24,7 @@ finally:
 
 
 def imported(*words: str) -> tuple[str, set[str]]:
-    """Run ``slgaussian WORDS`` in a new process; return its output and the heavy modules it loads."""
+    """Run ``slgaussian WORDS`` in a new process; return output and heavy modules loaded."""
     inputs = [sys.executable, "-c", CODE, json.dumps(words)]
     done = subprocess.run(inputs, capture_output=True, text=True)
     assert done.returncode in (0, 3), done.stderr  # what is asked for may not be there

@@ -1,4 +1,4 @@
-"""Runs that are stopped: nothing is lost, nothing is redone, nothing is left running."""
+"""Stopped runs lose nothing, repeat nothing, and leave no process."""
 
 import os
 import signal
@@ -63,7 +63,7 @@ def test_a_stopped_run_goes_on_later_and_leaves_nothing(
 
 
 def left_in(home: Path) -> list[str]:
-    """List the files in a folder except caches, or in shared memory except those of other programs."""
+    """List files of a folder except caches, or of shared memory except other programs'."""
     theirs = ("sem.", "faketime_")
     shared = [p.name for p in Path("/dev/shm").iterdir() if not p.name.startswith(theirs)]
     return shared + [p.name for p in home.iterdir() if p.name != ".cache"]

@@ -1,4 +1,4 @@
-"""From a folder of labelled photographs to an index, and from an index to what is scored."""
+"""Index of a folder of labelled photographs, and the scenes of an index."""
 
 import json
 import shutil
@@ -37,7 +37,7 @@ BOX = (60, 50, 140, 110)
 
 @pytest.fixture(scope="module")
 def room() -> Scene:
-    """A photograph as a wall 3 m away, seen from nine places along it."""
+    """Render a photograph as a wall 3 m away from nine places along it."""
     wall = skimage.data.coffee()
     K = np.array([[200.0, 0, 120], [0, 200, 80], [0, 0, 1]])
     cameras = {}
@@ -64,7 +64,7 @@ def photographs(room) -> list[np.ndarray]:
 
 @pytest.fixture
 def lerf(tmp_path, photographs) -> Path:
-    """It as the scenes ramen and teatime of a LERF-OVS folder, with some labels."""
+    """Write it as the scenes ramen and teatime of a LERF-OVS folder, with some labels."""
     for scene in ("ramen", "teatime"):
         lens = {1: ("PINHOLE", (200, 200, 120, 80))}
         write_model(tmp_path / scene / "sparse/0", SHOTS, lens, size=SIZE)
@@ -225,7 +225,7 @@ def test_name_and_labelled_frames_are_what_a_published_scene_is_known_by():
 class TestHeldOut:
     @pytest.fixture
     def ingested(self, lerf):
-        """The sample of a target, between two others, at a size."""
+        """Ingest the sample of a target between two context views at a size."""
         store = ArtifactStore(str(lerf / "store"))
 
         def ingested(target: str, size=None):

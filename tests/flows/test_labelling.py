@@ -1,4 +1,4 @@
-"""`slgaussian masks`, and a field built from what it wrote."""
+"""`slgaussian masks`, and fields built from its output."""
 
 import json
 
@@ -17,7 +17,7 @@ PHOTOS = [f"{name}.png" for name in ROOM["context"]]
 
 @pytest.fixture
 def words(tmp_path, monkeypatch):
-    """A command about two photographs, up to where it writes to."""
+    """Return the words of a command for two photographs, without its output."""
     monkeypatch.chdir(save_photographs(tmp_path))
     return [*PHOTOS, "--cameras", "transforms.json", "--set", "near=0.8", "--set", "far=12"]
 

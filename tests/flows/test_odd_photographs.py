@@ -1,4 +1,4 @@
-"""Photographs on the command line of which one is there twice, or shows another place."""
+"""Duplicate photographs and photographs of other places on the command line."""
 
 import pytest
 from command import write_photographs
@@ -12,7 +12,7 @@ NAMES = ("a.png", "b.png", "c.png")
 
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
-    """The current folder: three photographs of a room, one of them again, and one of another."""
+    """Write three photographs of a room, a copy and one of another room to the current folder."""
     inputs = twists.arc(0, 3, SIZE)
     views = dict(zip(NAMES, inputs.context, strict=True))
     views |= {"copy.png": inputs.context[1], "elsewhere.png": twists.stranger(0, inputs, 0)}

@@ -1,4 +1,4 @@
-"""One answer, said alike: sentence, JSON, exit status, picture; ``test_page.py`` has the page."""
+"""One answer in all outputs: sentence, JSON, exit status, picture (page: ``test_page.py``)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The real pipeline on one small made-up room, beside a scene that cannot be read."""
+"""The real pipeline on a small procedural room and a scene that cannot be read."""
 
 import json
 import os
@@ -245,7 +245,7 @@ def test_a_query_setting_recomputes_the_benchmark_alone(first, capsys):
 
 # The last test of the file: it leaves the run that the others look at harmed.
 def test_what_is_damaged_is_made_again_and_never_handed_out(first, monkeypatch):
-    """Every artifact at once: fields are links to some, reports and masks are written of others."""
+    """All artifacts are damaged at once: fields link to some, reports use others."""
     folder, missing, _ = first
     hidden = ("log", "times", "report.")  # they say when, or how fast
     store = ArtifactStore(folder / "store")

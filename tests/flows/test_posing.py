@@ -1,4 +1,4 @@
-"""Photographs without cameras on the command line: found, said, kept and read again."""
+"""Photographs without cameras on the command line: estimation, output, storage, reading."""
 
 import json
 from dataclasses import replace
@@ -26,7 +26,7 @@ SAID = Estimated((0.9, 1.15), "matches", 0.42)
 
 
 def truth(photographs) -> EstimatedCameras:
-    """The room's own cameras, as if they had been found: in the world of the first."""
+    """Return the room's cameras as estimates, in the frame of the first."""
     valid = room(*SIZE).cameras
     names = [photograph.name for photograph in photographs if photograph.name != ELSEWHERE]
     left_out = {p.name: "of another place" for p in photographs if p.name == ELSEWHERE}
@@ -52,7 +52,7 @@ def truth(photographs) -> EstimatedCameras:
 
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
-    """A folder, which is the current one, of two photographs without cameras."""
+    """Write two photographs without cameras to the current folder."""
     save_photographs(tmp_path, *SIZE)
     (tmp_path / "transforms.json").unlink()
     monkeypatch.chdir(tmp_path)

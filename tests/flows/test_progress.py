@@ -1,4 +1,4 @@
-"""Progress of a run: lines that stay, counts, and what a terminal shows below them."""
+"""Progress of a run: permanent lines, counts, and the status below them in a terminal."""
 
 import io
 import itertools
@@ -21,7 +21,7 @@ def wide(monkeypatch):
 
 
 def two_done_one_failed(progress: Progress) -> None:
-    """Take scenes a (cached) and b through two stages, leave c out, and begin d."""
+    """Report scenes a (cached) and b through two stages, c as left out, and d as begun."""
     for scene, stage in itertools.product("ab", ("ingest", "masks")):
         progress.update(StageEvent(scene, stage, "running"))
         state = "cached" if scene == "a" else "completed"

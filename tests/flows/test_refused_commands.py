@@ -12,7 +12,7 @@ from slgaussian.formats.ply import save_ply
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory, walls):
-    """A folder with a field, PLYs, a camera file and a name that is taken."""
+    """Return a folder with a field, PLY files, a camera file and an existing output."""
     folder = tmp_path_factory.mktemp("place")
     gaussians = SemanticField.load(shutil.copytree(walls, folder / "field")).gaussians
     save_ply(gaussians, folder / "scene.ply")

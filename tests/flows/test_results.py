@@ -1,4 +1,4 @@
-"""The fields that runs leave: the store's own files, one folder a scene."""
+"""Fields in the output of runs: links to the store's files, one folder for each scene."""
 
 import json
 import os
@@ -37,7 +37,7 @@ def here(tmp_path: Path) -> str:
 
 @pytest.fixture(params=["folder", "bucket"])
 def store(request, tmp_path) -> ArtifactStore:
-    """Stores whose files can be linked, and those whose cannot."""
+    """Stores whose files can and cannot be linked."""
     if request.param == "bucket":
         return ArtifactStore(f"{request.getfixturevalue('bucket')}/slg")
     return ArtifactStore(here(tmp_path))
@@ -72,7 +72,7 @@ def test_a_second_run_writes_nothing_but_what_is_amiss(field, store, tmp_path):
     fields, out = dict.fromkeys(SCENES, put_field(store, field)), tmp_path / "out"
 
     def rewrite(places=None) -> set[str]:
-        """Files that are others now."""
+        """Write the fields again; return the files that were replaced."""
         before = stamps(out / "fields")
         results.write_fields(store, fields, places or {}, out)
         after = stamps(out / "fields")

@@ -1,4 +1,4 @@
-"""Retraining: what arrives is learnt once, what is withdrawn is not, each end has a status."""
+"""Retraining: new clips are learnt once, withdrawn ones are not; exit statuses."""
 
 import json
 from pathlib import Path
@@ -36,7 +36,7 @@ steps = 2
 
 @pytest.fixture(scope="module")
 def clips():
-    """Rooms by their side: the first two are learnt, the third is judged by."""
+    """Return rooms: two to train on, and one to judge by."""
     output = {True: [], False: []}
     for seed in (0, 1, 3):  # of which samples can be made
         size = {"height": 90, "width": 160}
@@ -47,7 +47,7 @@ def clips():
 
 
 def arrive(folder: Path, clip: re10k.Clip) -> None:
-    """A chunk of its own, or another content of it."""
+    """Write a chunk, or replace its content."""
     (folder / "chunks").mkdir(exist_ok=True)
     output = re10k.write(folder / "one", [clip], 10**8)
     (folder / "one" / output[0]).rename(folder / "chunks" / f"{clip.key.replace(' ', '_')}.torch")
@@ -59,7 +59,7 @@ def record(folder: Path) -> dict:
 
 
 def artifact() -> str:
-    """The latest artifact of a retraining, read from the server by its API."""
+    """Return the latest Prefect artifact of a retraining, by the server's API."""
     with get_client(sync_client=True) as client:
         body = {"artifacts": {"key": {"any_": [ARTIFACT]}}, "sort": "CREATED_DESC", "limit": 1}
         answer = client._client.post("/artifacts/filter", json=body)

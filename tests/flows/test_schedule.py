@@ -1,4 +1,4 @@
-"""Deployments: what the files promise can be loaded, and what an operator sees of runs."""
+"""Deployments: the flows of the files can be loaded; runs as an operator sees them."""
 
 import logging
 import time
@@ -53,7 +53,7 @@ def test_what_stops_a_run_fails_it(tmp_path, server):
 def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
     tmp_path, server, monkeypatch
 ):
-    """All that an operator sees of a run, asked of a real server by its API."""
+    """The state, edges and artifacts of a run, read from a real server by its API."""
     from command import ROOM
 
     monkeypatch.delenv(NO_EVENTS, raising=False)  # the server is the user's
@@ -87,14 +87,14 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
 
 
 def ended_runs(server, name: str) -> list[dict]:
-    """The final states of a flow's runs, the latest first, each with the id of its run."""
+    """Return the final states of a flow's runs, latest first, with the ids of the runs."""
     which = {"flows": {"name": {"any_": [name]}}, "sort": "END_TIME_DESC"}
     runs = post(server, "flow_runs/filter", which)
     return [{**first["state"], "flow_run": first["id"]} for first in runs]
 
 
 def wait_for(server, which: dict, count: int) -> list[dict]:
-    """Task runs, which reach the server as events, a little later."""
+    """Wait for task runs, which reach the server later, as events."""
     for _ in range(100):
         tasks = post(server, "task_runs/filter", which)
         final = [t for t in tasks if t["state_type"] in ("COMPLETED", "FAILED")]

@@ -1,4 +1,4 @@
-"""A method of another package in a run, and `slgaussian score` on the masks that a run left."""
+"""A method of another package in a run, and `slgaussian score` on masks of a run."""
 
 import json
 import os
@@ -64,7 +64,7 @@ def data(folder: Path, pairs: bool = True) -> list:
 
 
 def benchmark(labelled: Path, package: Path, out: Path) -> None:
-    """A run in a process of its own, in which the package is installed."""
+    """Run the benchmark in a new process, in which the package is installed."""
     words = ["benchmark", *data(labelled), *settings(near=0.8, far=12, replicas=1)]
     words += ["--against", "colours", "-o", out, "--store", out.parent / "store"]
     argv = ["slgaussian", *map(str, words)]

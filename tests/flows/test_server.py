@@ -1,4 +1,4 @@
-"""The server that the tool starts by itself."""
+"""The Prefect server that a command starts."""
 
 import os
 import re
@@ -23,7 +23,7 @@ def test_it_listens_on_loopback_only(server):
 
 
 def test_it_imports_in_the_order_of_this_program(monkeypatch):
-    """A package beside this one that is named as a standard module must not replace it."""
+    """A package in site-packages named like a standard module must not replace it."""
     places = ["/standard", str(Path(local.__file__).parents[2]), "/others"]
     monkeypatch.setattr(sys, "path", ["", *places])
     assert local.import_path() == os.pathsep.join(places)

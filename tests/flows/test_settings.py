@@ -1,4 +1,4 @@
-"""Settings by presets, files and options: which wins, where paths are from, and slips."""
+"""Settings of presets, files and options: precedence, base of paths, misspelt keys."""
 
 import tomllib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Flows on a store that several machines share, and the commands that look after one."""
+"""Flows on a shared store, and commands for its upkeep."""
 
 import base64
 import json

@@ -1,4 +1,4 @@
-"""`slgaussian benchmark --sweep`: settings and numbers of views as methods of the one report."""
+"""`slgaussian benchmark --sweep`: settings and numbers of views as methods of one report."""
 
 import re
 from collections import Counter
@@ -29,7 +29,7 @@ NAME = "slgaussian, views={}, depth_candidates=16"
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory, server):
-    """A room with 2, 3 and more views than it has, and few depths."""
+    """Sweep a room over few depths and 2, 3 and more views than it has."""
     folder = tmp_path_factory.mktemp("sweep")
     values = {"scenes": [ROOM], "out": folder / "out", **SMALL}
     values["sweep"] = ["views=2,3,40", f"{DEPTHS}=16"]

@@ -1,4 +1,4 @@
-"""Training and retraining as flows: cached, resumed, refused, and put to use only if better."""
+"""Training and retraining as flows: cached, resumed, refused, promoted only if better."""
 
 import os
 import re
@@ -37,9 +37,9 @@ FEW = ("--steps", "4", "--set", "held_out=0.4")
 
 
 def lesson(seed: int, holed: bool = False) -> Lesson:
-    """Two views of a wall painted with two objects, and one between them.
+    """Return a lesson: two views of a wall with two painted objects, and one between them.
 
-    Where it is ``holed``, rows of both views have no label: whoever learns to fill them beats all
+    With ``holed``, rows of both views have no label: a lifting that learns to fill them beats those
     that copy labels.
     """
     wall = np.full(SIZE, 3.0)
@@ -68,7 +68,7 @@ def camera(x: float) -> Camera:
 
 
 def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
-    """Lessons in the store of a folder, as `supervise` lists them in its ``corpus``."""
+    """Write lessons to the store of a folder, and their table to its ``corpus``."""
     store, rows = ArtifactStore(folder / "store"), []
     for seed in seeds:
         drawn = lesson(seed, holed)

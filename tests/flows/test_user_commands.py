@@ -1,7 +1,4 @@
-"""The short form of :mod:`benches.pipeline.user_commands`: everything that users run, small.
-
-What ``--help`` prints has its tests in ``test_help.py``.
-"""
+"""Groups of :mod:`benches.pipeline.user_commands`; output of ``--help``: ``test_help.py``."""
 
 import sys
 from pathlib import Path
@@ -14,7 +11,7 @@ pytestmark = pytest.mark.whole
 
 
 def check(group: str, folder: Path, **variables: str) -> None:
-    """Run a group of commands; statuses and files are as they should be."""
+    """Run a group of commands; check statuses and files."""
     program = [str(Path(sys.executable).parent / "slgaussian")]
     results = user_commands.recorded(program, folder, None, [group], variables)
     assert user_commands.check(results) == []
@@ -30,5 +27,5 @@ def test_a_corpus_is_prepared_and_learnt(server, tmp_path):
 
 
 def test_a_killed_run_leaves_the_files_of_an_undisturbed_one(tmp_path):
-    """Each command has a server of its own."""
+    """Each command starts its own server."""
     check("killed", tmp_path)

@@ -1,4 +1,4 @@
-"""A plain reader of the ``.spz`` that the package writes: the format's page, read once more."""
+"""A plain reader of ``.spz`` files, written from the description of the format."""
 
 import gzip
 import struct

@@ -1,4 +1,4 @@
-"""The compact formats of other viewers: what is written is read again, within what they keep."""
+"""Round trips of compact formats, within their precision."""
 
 import gzip
 
@@ -67,7 +67,7 @@ def test_spz_reads_again(tmp_path, degree):
 
 
 def test_spz_turns_harmonics_with_the_axes(tmp_path):
-    """Written without being turned, colours would be those of a mirrored direction."""
+    """Without the rotation, colours would be those of a mirrored direction."""
     gaussians = some(20, degree=3, seed=3)
     save_spz(gaussians, tmp_path / "a.spz")
     restored = load_spz(tmp_path / "a.spz")

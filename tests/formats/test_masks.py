@@ -1,4 +1,4 @@
-"""Files of masks, as programs write them."""
+"""Masks in the formats that programs write."""
 
 import numpy as np
 import pytest

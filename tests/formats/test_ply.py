@@ -1,4 +1,4 @@
-"""The .ply file: exact out and in, and files as others write them."""
+""".ply files: exact round trips, and files of other programs."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def some(n=50, count=16, seed=0, **given) -> Gaussians:
 
 
 def columns(n=5, count=4) -> dict[str, np.ndarray]:
-    """Columns as a program that is not ours would write them, in an order of its own."""
+    """Return columns as another program writes them, in another order."""
     rng = np.random.default_rng(3)
     names = [*(f"rot_{i}" for i in range(4)), "opacity", "z", "y", "x"]
     names += [f"f_rest_{i}" for i in reversed(range(3 * (count - 1)))]

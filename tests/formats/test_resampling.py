@@ -1,4 +1,4 @@
-"""Photographs, masks, ids and depths at another size, against sums in float64."""
+"""Resized photographs, masks, ids and depths, compared with sums in float64."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -23,7 +23,7 @@ def photographed(**truths) -> View:
 
 
 def edges(view: View, full: View, axis: int) -> np.ndarray:
-    """Edges of the view's columns (axis 0) or rows in the photograph, by what its camera sees."""
+    """Return the edges of the view's columns (axis 0) or rows in the photograph, by its camera."""
     count = (view.camera.width, view.camera.height)[axis]
     rays = (np.arange(count + 1) - view.camera.K[axis, 2]) / view.camera.K[axis, axis]
     return rays * full.camera.K[axis, axis] + full.camera.K[axis, 2]
@@ -100,7 +100,7 @@ def test_depth_of_a_plane_is_exact(size, normal):
 
 @pytest.mark.parametrize("size", SIZES)
 def test_depth_beside_steps_and_holes_is_of_one_surface(size):
-    """A slanted floor before a wall, with a hole: every pixel is on one, or unknown."""
+    """The scene is a slanted floor before a wall, with a hole; no pixel mixes both."""
     full = photographed()
     floor, wall = (plane(full.camera, n) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1)))
     left = np.arange(90) < 37

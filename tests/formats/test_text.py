@@ -1,4 +1,4 @@
-"""Text that anybody wrote is read as it stands, with or without a byte-order mark."""
+"""Text files are read with and without a byte-order mark."""
 
 import codecs
 import json

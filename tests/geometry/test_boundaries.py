@@ -51,7 +51,7 @@ def random_codes(seed):
 
 
 def steep_codes(seed):
-    """Few codes in a disc, others in the next: what one leaves behind must not count there."""
+    """Neighbouring discs with different codes: counts of one must not remain in the next."""
     rng = np.random.default_rng(seed)
     return (3 * rng.integers(0, 7, (11, 1)) + rng.integers(0, 2, (11, 17))).astype(np.uint8)
 

@@ -1,4 +1,4 @@
-"""The upright box around scattered points, against boxes that are known."""
+"""The upright box around scattered points, compared with known boxes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Up, floor and heights of rooms, whatever the axes and the unit of the poses."""
+"""Up, floor and heights of rooms, for any axes and unit of the poses."""
 
 from dataclasses import replace
 

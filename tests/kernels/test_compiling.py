@@ -1,4 +1,4 @@
-"""Reported seconds are without those of compiling kernels."""
+"""Reported times exclude the compilation of kernels."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Seeds depend on what is computed and on nothing else."""
+"""Seeds depend only on what is computed."""
 
 from dataclasses import replace
 
@@ -59,7 +59,7 @@ def test_a_greater_share_keeps_what_a_smaller_one_does(clip, item, alternative):
 
 
 def test_about_the_share_is_held_out_and_always_the_same():
-    """4 standard deviations of 4000 draws are 0.025; which ones they are is written down here."""
+    """4 standard deviations of 4000 draws are 0.025; the first held-out names are pinned."""
     stored = [held_out(f"clip {k}", 0.2) for k in range(4000)]
     assert abs(sum(stored) / 4000 - 0.2) < 0.025
     assert [k for k in range(40) if stored[k]] == [6, 9, 11, 13, 14, 15, 27, 29, 31]

@@ -36,7 +36,7 @@ def _logs(out, a):
 
 
 def mapped(function, values, filler=1):
-    """A function over any number of values."""
+    """Apply a vector function to any number of values."""
     padded = np.full(-(-len(values) // LANES) * LANES, filler, np.float32)
     padded[: len(values)] = values
     out = np.empty_like(padded)
@@ -46,7 +46,7 @@ def mapped(function, values, filler=1):
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_load_and_store_at_any_place(dtype):
-    """No alignment is asked for, and nothing beside the numbers is touched."""
+    """Loads and stores need no alignment and change no neighbouring numbers."""
     source = np.arange(40, dtype=dtype)
     for start, end in np.ndindex(9, 9):
         target, expected = np.full((2, 24), -1, dtype)

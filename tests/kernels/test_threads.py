@@ -32,7 +32,7 @@ def test_weights_give_the_same_bytes_wherever_they_begin(rows, side):
 
 
 class Small(torch.nn.Module):
-    """Layers in which PyTorch and its libraries share sums by the number of threads."""
+    """Layers whose sums PyTorch and its libraries split by the number of threads."""
 
     def __init__(self, waste: int = 0) -> None:
         super().__init__()
@@ -91,7 +91,7 @@ def test_what_one_thread_fixes_another_does_not_see():
 
 
 def test_every_module_with_a_kernel_imports_what_makes_it_one_at_its_top():
-    """By that the digest of :func:`slgaussian.kernels.threads.sources` knows it."""
+    """The digest of :func:`slgaussian.kernels.threads.sources` relies on it."""
     kernels = re.compile(rb"^@(kernel|(numba\.)?njit|intrinsic)\b", re.MULTILINE)
     for file in Path(threads.__file__).parents[1].rglob("*.py"):
         source = file.read_bytes()

@@ -1,4 +1,4 @@
-"""Threads that share a kernel leave no portion out and take none twice."""
+"""Threads that share a kernel process every item exactly once."""
 
 import multiprocessing
 import os
@@ -46,7 +46,7 @@ def test_results_of_items_are_in_order_and_items_can_share(threads):
 
 
 def test_several_threads_are_in_a_kernel_at_once():
-    """Each waits for the other: alone, or with Python's lock kept, one would wait for ever."""
+    """Each thread waits for the other: with Python's lock held, one would wait forever."""
     met, both = [], threading.Barrier(2, timeout=60)
 
     def meet(counter):

@@ -1,4 +1,4 @@
-"""Pictures with a mask for every object: flat, and not those that the vocabulary was tried on."""
+"""Drawn pictures with masks of all objects, other than those used to tune the vocabulary."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def ball(x: int, y: int, radius: int) -> np.ndarray:
 
 
 def box(x: int, y: int, half: int) -> np.ndarray:
-    """Mask of an upright box seen a little from above, at a corner."""
+    """Mask of an upright box seen at a corner from slightly above."""
     up, side = int(half * 0.35), int(half * 0.9)
     top = [(-side, -half), (0, -half - up), (side, -half)]
     points = np.array([*top, (side, half), (0, half + up), (-side, half)]) + (x, y)
@@ -80,7 +80,7 @@ def photograph(objects: list[tuple], seed: int = 0) -> tuple[np.ndarray, np.ndar
 
 
 def view_of(image: np.ndarray, name: str = "view") -> View:
-    """A view with that image; its camera plays no part."""
+    """Return a view with an image and an irrelevant camera."""
     h, w = image.shape[:2]
     K = np.array([[300.0, 0, w / 2], [0, 300, h / 2], [0, 0, 1]])
     return View(name, Camera(K, np.eye(4), w, h), image)

@@ -1,4 +1,4 @@
-"""A small CLIP with random weights, large ones so that texts differ, and a byte-pair tokenizer."""
+"""A small CLIP with random weights, large enough that texts differ, and its tokenizer."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The memory bank: what it holds, what it refuses, and that absent means absent."""
+"""The memory bank: content, refusals, and absent objects."""
 
 from dataclasses import fields, replace
 

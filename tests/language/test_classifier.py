@@ -1,4 +1,4 @@
-"""Dense classification: the network against PyTorch in float64, and what is read of its scores."""
+"""Dense classification: the network compared with PyTorch in float64, and its scores."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""CLIP with random weights: what goes in and out is right, what it means is not."""
+"""CLIP with random weights: inputs and outputs are checked, not their meaning."""
 
 import json
 import shutil
@@ -59,7 +59,7 @@ def regions(count=6, height=60, width=80):
 
 
 def expected_crop(image, mask):
-    """The margins and the black, spelled out pixel by pixel."""
+    """Build the crop with its margins and black background, pixel by pixel."""
     rows, columns = np.nonzero(mask)
     top, left = rows.min(), columns.min()
     height, width = rows.max() - top + 1, columns.max() - left + 1

@@ -116,7 +116,7 @@ def test_the_names_of_objects_do_not_matter(n, seed):
 
 
 def misread(codes: np.ndarray, pairs: Pairs) -> float:
-    """The fraction of the mixtures of two neighbours that decode to a third object."""
+    """Compute the fraction of mixtures of two neighbours that decode to a third object."""
     a, b = pairs.rows.T
     shares = ((np.arange(16) + 0.5) / 16)[:, None, None]
     nearest = nearest_code((1 - shares) * codes[a] + shares * codes[b], codes)

@@ -1,4 +1,4 @@
-"""Confidence rises with evidence and standing out, falls with parts, and says what it is."""
+"""Confidence rises with evidence and contrast to other objects, and falls with parts."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Evidence of surfaces and of places in the room, from measures that are known."""
+"""Evidence of surfaces and of places in the room, from known measurements."""
 
 import numpy as np
 import pytest

@@ -14,7 +14,7 @@ def plain_smoothed(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
 
 
 def plain_mask(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
-    """Step by step; the majority by counting the pixels of every window."""
+    """Compute the mask step by step, the majority by counting pixels of each window."""
     blend = 0.5 * (plain_smoothed(relevancy, side) + relevancy)
     stretched = (blend - blend.min()) / (blend.max() - blend.min() + 1e-9)
     above = np.clip(2 * stretched - 1, 0, 1) > 0.4
@@ -38,7 +38,7 @@ def objects_image(seed: int, shape: tuple[int, int]) -> np.ndarray:
     st.integers(0, 2**32 - 1), st.integers(1, 90), st.integers(1, 90), st.sampled_from([1, 17, 30])
 )
 def test_the_smoothed_image_is_that_of_the_plain_filter(seed, height, width, side):
-    """SciPy's filter adds up as it goes along; its own error is some 1e-15 a pixel."""
+    """SciPy's filter keeps running sums, with an error of about 1e-15 for each pixel."""
     relevancy = np.random.default_rng(seed).random((height, width))
     got = langsplat.smoothed(relevancy, side)
     assert got.shape == relevancy.shape

@@ -1,4 +1,4 @@
-"""The lexicon: every word is usable, colours survive the light, and words combine."""
+"""The lexicon: usable words, colours under different light, combined words."""
 
 import tomllib
 from collections import Counter
@@ -247,7 +247,7 @@ def names() -> ColourNames:
 
 
 def under_light(rgb: tuple[int, int, int], share: float) -> np.ndarray:
-    """The sRGB of a surface under a share of the light: linear light is scaled."""
+    """Return the sRGB colour of a surface with its linear light scaled."""
     value = np.array(rgb) / 255
     linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4) * share
     srgb = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -1,4 +1,4 @@
-"""The code nearest to a value: what comparing with every code gives, ties included."""
+"""The nearest code equals that of a comparison with all codes, including ties."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""An id map and its objects, against NumPy one object at a time."""
+"""An id map and its objects, compared with NumPy, one object at a time."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""open_clip checkpoints give the same vectors as the model of transformers that they stand for."""
+"""open_clip checkpoints give the same vectors as the equal model of transformers."""
 
 import json
 import pickle
@@ -246,7 +246,7 @@ def test_a_model_of_another_make_is_named(tensors, tokens, tmp_path, change, cau
 
 
 class Trap:
-    """Unpickled by a careless reader, it leaves a file behind."""
+    """An object that creates a file when it is unpickled."""
 
     def __init__(self, file):
         self.file = file

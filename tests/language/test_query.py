@@ -1,4 +1,4 @@
-"""Find, locate and segment on pictures whose objects are known."""
+"""Queries and segmentation on pictures with known objects."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -174,7 +174,7 @@ def test_every_object_that_ties_for_the_best_is_found(lexicon):
 
 
 def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
-    """In quarters it looks like no ball, and cones beside it are no better."""
+    """A quarter does not look like a ball, and the cones beside it fit no better."""
     image, labels = photograph(
         [(ball(80, 120, 42), BLUE), (cone(200, 80, 34), BLUE), (box(260, 180, 30), BLUE)]
     )
@@ -196,9 +196,9 @@ def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
 
 @pytest.fixture
 def told_by_gaps(lexicon):
-    """A function: what "red" finds, and where, among objects whose gaps are given.
+    """Return a function that queries "red" among objects with given gaps.
 
-    They are 1, 2, ...; each is larger than the one before, and of those ``hidden`` nothing is seen.
+    Their ids are 1, 2, ...; each is larger than the one before; ``hidden`` ones are invisible.
     """
     red, *rivals = lexicon.encode_text(["red", *lexicon.canonical]).astype(np.float64)
     # Axes along which only the text, and nothing at all, says something.
@@ -220,7 +220,7 @@ def told_by_gaps(lexicon):
 
 
 def test_what_is_about_as_good_as_the_best_is_taken_with_it_by_numbers(told_by_gaps):
-    """A gap of 0.6 of the best one is taken, 0.9 is as good to point at: values by hand."""
+    """Objects from 0.6 of the best gap are selected, from 0.9 pointed at; values by hand."""
     gaps = 0.5, 0.46, 0.31, 0.27, 0.0, -0.2
     assert told_by_gaps(*gaps) == ([1, 2, 3], 2)
     # The best is the best of what is seen: 0.27 is 0.87 of 0.31.
@@ -259,7 +259,7 @@ def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon):
 
 
 def test_looks_count_by_the_scale_of_the_encoder(scene, lexicon, monkeypatch):
-    """A group is as good as its best look where one that leads by little counts much more."""
+    """With a small temperature a group scores as its best view."""
     _, bank = scene
     every = np.full((1, len(bank)), len(bank), np.int32)
     grouped = replace(bank, levels=every, group_features=bank.features[:1])

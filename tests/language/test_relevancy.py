@@ -1,4 +1,4 @@
-"""Relevancy against the paper's formula written out literally, and its invariants."""
+"""Relevancy compared with the paper's formula, and its invariants."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Words by example: what they hold, how they score, and their file."""
+"""Words taught by example: content, scores, and file."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ WIDTH = 12
 
 
 def unit(seed: int, count: int = 1) -> np.ndarray:
-    """Unit vectors that lie near each other, as those of regions do."""
+    """Return unit vectors near each other, as features of regions are."""
     drawn = np.random.default_rng(seed).normal(size=(count, WIDTH)) * 0.1 + 1
     vectors = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
     return vectors.astype(np.float32)
@@ -58,7 +58,7 @@ def feature(bank, row: int) -> np.ndarray:
 
 
 def reader(scene, *lessons: int, word: str = "zorp") -> BankReader:
-    """A reader that was taught a word by rows of the bank."""
+    """Return a reader with a word taught by rows of the bank."""
     _, bank, encoder = scene
     words = TaughtWords()
     for row in lessons:

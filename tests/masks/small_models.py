@@ -1,4 +1,4 @@
-"""SAM and SAM 2 with random weights, small enough for tests: they find nothing of use.
+"""Small SAM and SAM 2 with random weights, for tests; their masks are meaningless.
 
 They have the architecture of the published models, so that folders, shapes and prompts are real.
 Weights are drawn larger than usual and the head of predicted IoUs leans high, or no mask would be

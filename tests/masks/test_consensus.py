@@ -1,4 +1,4 @@
-"""Objects of three views and more: what the votes of all settle, and what they leave alone."""
+"""Objects of three and more views: changes by votes of all views, and their limits."""
 
 from functools import cache
 
@@ -21,7 +21,7 @@ COLORS = ((150, 150, 150), (200, 40, 40), (40, 60, 200), (40, 170, 60), (220, 20
 
 
 class Shown:
-    """Photographs of flat cards by cameras that look along z, and what there is to see in each."""
+    """Photographs of flat cards by cameras that look along z, and the visible cards of each."""
 
     def __init__(self, *eyes):
         self.eyes, self.views, self.truths = eyes, [], []
@@ -72,7 +72,7 @@ def test_halves_that_no_view_connects_stay_two_and_a_view_of_both_joins_them():
 
 
 def as_one(truth):
-    """Regions of a view that takes two cards for one thing."""
+    """Return regions of a view in which two cards are one region."""
     return np.where(truth == 3, 2, truth)
 
 
@@ -87,7 +87,7 @@ def test_views_that_part_two_things_outvote_one_that_joined_them():
 
 def test_without_depth_the_tracker_has_the_last_word():
     class Still:
-        """Carries the labels of the view before as they are."""
+        """A tracker that copies the labels of the previous view."""
 
         final = False
 
@@ -148,7 +148,7 @@ def test_a_view_of_another_place_keeps_to_itself(place):
 
 
 def plain_contraction(votes):
-    """The same, with all sums worked out anew each time."""
+    """Contract by recomputing all sums in each step."""
     clusters = [[k] for k in range(len(votes))]
     while True:
         sums = {

@@ -72,7 +72,7 @@ def screen_and_wall(shift=0.4):
 
 
 def test_equals_the_plain_rule():
-    """Pixel by pixel: there by one depth, back by the other, and how far off."""
+    """Reproject pixel by pixel, forward and backward, and measure the distance."""
     (a, b), depths = screen_and_wall(0.37)
     rng = np.random.default_rng(0)
     depths = [(d * rng.uniform(0.93, 1.07, d.shape)).astype(np.float32) for d in depths]

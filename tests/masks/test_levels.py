@@ -1,4 +1,4 @@
-"""Groups of objects: which belong together, and what a level must be whatever they look like."""
+"""Groups of objects: membership, and invariants of a level."""
 
 import numpy as np
 import pytest

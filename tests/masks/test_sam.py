@@ -1,4 +1,4 @@
-"""SAM and SAM 2 with random weights: what goes in and out is right, what it shows is not.
+"""SAM and SAM 2 with random weights: inputs and outputs are checked, not their meaning.
 
 The models are made here and saved to a folder (``small_models``); nothing is downloaded.
 """

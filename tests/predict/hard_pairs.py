@@ -1,4 +1,4 @@
-"""Pairs of views on which two-view geometry breaks, by name.
+"""Pairs of views that are hard for two-view geometry, by name.
 
 All show one small stage with a floor, walls and things at several depths, ray-cast so that its
 depth is exact; what is hard is in the cameras, the surfaces or the photographs.

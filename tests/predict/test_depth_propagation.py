@@ -1,4 +1,4 @@
-"""Depth lent to a view by those that see the same surface."""
+"""Propagation of depth to views that show the same surface."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ HOLE = (slice(50, 70), slice(60, 90))
 
 
 def pair():
-    """Two views that know the depth of everything, but for a hole in the first."""
+    """Return two views with known depth, except for a hole in the first."""
     views = sample(*CAMERAS).context
     images = [np.full((*view.depth.shape, 3), 0.5, np.float32) for view in views]
     steps = np.linspace(0.05, 1, 100)
@@ -40,7 +40,7 @@ def test_a_hole_gets_the_depth_that_the_other_view_found_there():
 
 
 def test_what_has_another_colour_is_not_believed():
-    """It may lie behind what the view shows there."""
+    """A point of another colour may be hidden in the view."""
     _, images, swept = pair()
     images[0][40:80, 50:100] = 0.8
     first, _ = propagate_depth(swept, images, LINKS)

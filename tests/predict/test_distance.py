@@ -1,4 +1,4 @@
-"""Typical depths of a clip from sparse matches: near the truth of made-up rooms."""
+"""Typical depths of a clip from sparse matches, compared with procedural rooms."""
 
 from dataclasses import replace
 

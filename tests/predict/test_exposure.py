@@ -1,4 +1,4 @@
-"""One exposure for all views."""
+"""Compensation of exposure between views."""
 
 import numpy as np
 from textured_planes import camera, links_of, sample

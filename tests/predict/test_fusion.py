@@ -1,4 +1,4 @@
-"""One colour for what two views show, no more copies of a surface than two, no guess in front."""
+"""Fusion: blended colours, at most two copies of a surface, no guess in front of it."""
 
 import numpy as np
 import pytest

@@ -42,7 +42,7 @@ def one_thread() -> Iterator[None]:
 
 
 def predict(pair: Sample) -> np.ndarray:
-    """Depths [V, H, W] of a sample, after checking what holds for every answer."""
+    """Predict depths [V, H, W] of a sample; check the invariants of every answer."""
     gaussians = PlaneSweep()(pair)
     gaussians.check()
     cameras = [view.camera for view in pair.context]
@@ -237,7 +237,7 @@ def blank(**limits: float) -> Sample:
 
 
 def exchanged(**limits: float) -> Sample:
-    """Photographs with each other's camera."""
+    """Exchange the cameras of two photographs."""
     a, b = stage(camera(**LEFT, **limits), camera(**RIGHT, **limits)).context
     return Sample("exchanged", (replace(a, image=b.image), replace(b, image=a.image)))
 
@@ -282,7 +282,7 @@ def test_a_given_range_needs_no_texture():
 
 @pytest.mark.parametrize("size", [(24, 32), (2, 3), (1, 6), (6, 1), (1, 1)])
 def test_images_of_a_few_pixels(size):
-    """Images too small for any match get depths in the given range, and else the range is asked."""
+    """Images too small for matches get depths in the given range, or need one."""
     limits = {"size": size, "focal": max(size), "near": 1.0, "far": 6.0}
     predict(stage(camera(**LEFT, **limits), camera(**RIGHT, **limits)))
     limits.pop("near")

@@ -57,14 +57,14 @@ def figures(scene: Sample) -> Row:
 
 
 def saved_again(views: Views, seed: int) -> Views:
-    """With one more, as a JPEG of the middle one looks, at the end."""
+    """Append a JPEG copy of the middle view."""
     coded = cv2.imencode(".jpg", views[ODD].image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1]
     image = np.ascontiguousarray(cv2.imdecode(coded, cv2.IMREAD_COLOR)[..., ::-1])
     return (*views, replace(views[ODD], name="saved again", image=image))
 
 
 def darker(views: Views, seed: int) -> Views:
-    """The middle one with 0.7 times the light."""
+    """Scale the light of the middle view by 0.7."""
     srgb = views[ODD].image / 255
     light = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4) * 0.7
     srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
@@ -73,7 +73,7 @@ def darker(views: Views, seed: int) -> Views:
 
 
 def first_turned(views: Views, seed: int) -> Views:
-    """The first as a camera takes it that is held turned by 90 degrees, clockwise."""
+    """Rotate the first camera by 90 degrees, clockwise."""
     first = views[0]
     (fx, _, cx), (_, fy, cy), _ = first.camera.K
     K = np.array([[fy, 0, cy], [0, fx, first.camera.width - cx], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""Given cameras that are a little off, settled by the matches of all views."""
+"""Refinement of slightly wrong cameras by the matches of all views."""
 
 from dataclasses import replace
 
@@ -63,7 +63,7 @@ def test_cameras_that_fit_stay():
 
 
 def test_a_frame_turned_as_a_whole_stays_where_it_was_given():
-    """Nothing says which frame is right, so the given one is kept."""
+    """The world frame is not determined by matches, so the given one stays."""
     turn, middle = np.array([0.004, -0.003, 0.002]), np.mean([c.center for c in TRUE], 0)
     spin = Rotation.from_rotvec(turn).as_matrix()
     inputs = [disturbed(c, turn, spin @ (c.center - middle) + middle - c.center) for c in TRUE]

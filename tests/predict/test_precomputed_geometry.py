@@ -1,4 +1,4 @@
-"""Depth from files: the sweep's own read again, every kind of file, and readings that must fit."""
+"""Depth from files: exported depth, every file format, and conventions that must fit."""
 
 from dataclasses import replace
 from pathlib import Path

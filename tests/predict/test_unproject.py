@@ -1,4 +1,4 @@
-"""Discs along the surface."""
+"""Gaussians as discs along the surface."""
 
 import numpy as np
 import pytest

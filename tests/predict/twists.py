@@ -7,7 +7,7 @@ from slgaussian.scene import Sample, View
 
 
 def arc(seed: int, number: int, size: tuple[int, int]) -> Sample:
-    """A made-up room from ``number`` places of an arc of 1 m; a target is in every second gap."""
+    """Render a room from ``number`` places of an arc of 1 m; a target is in every second gap."""
     height, width = size
     shape = {"baseline": 1.0, "height": height, "width": width}
     scene = datasets.load("procedural", seed, views=2 * number - 1, **shape)

@@ -160,11 +160,11 @@ def test_fast(name):
     ],
 )
 def test_what_is_hidden_counts_for_no_opacity(backend, chosen, slope, tolerance):
-    """The one gradient that stopping early gets wrong, and not by little.
+    """The one gradient that early stopping makes wrong.
 
-    To take an opaque Gaussian away would show what it hides. The cpu backend does not look at that
-    once a pixel is finished, so the opacity's gradient is as if nothing were behind; with ``exact``
-    this is left only where an alpha rounds to 1.
+    Removing an opaque Gaussian would show what it hides. The cpu backend stops at an opaque pixel,
+    so the opacity's gradient is that without Gaussians behind; with ``exact`` this remains only
+    where an alpha rounds to 1.
     """
     built = splats([[0, 0, 2.0], [0, 0, 3.0]], 100.0, [1 - 1e-5, 0.9])
     scene = built, torch.tensor([[1.0], [0.75]]), camera(1, 1)
@@ -174,7 +174,7 @@ def test_what_is_hidden_counts_for_no_opacity(backend, chosen, slope, tolerance)
 
 @pytest.mark.parametrize("output", ["values", "alpha", "depth"])
 def test_each_output_alone(output):
-    """And upstream gradients that are one number seen as many."""
+    """Also with expanded upstream gradients, which have stride 0."""
     scene = *cloud(60, 2, 0.8), camera()
     fast, true = (
         gradients(scene, backend, EXACT, lambda drawn: getattr(drawn, output).sum())

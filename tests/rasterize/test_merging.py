@@ -1,4 +1,4 @@
-"""Merged Gaussians are even in colour, flat and of one object; no context view changes by a grey level."""
+"""Merged Gaussians are even, flat and of one object; no view changes by a grey level."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ CAMERAS = [camera(W, H, 60), camera(W, H, 60, c2w=moved(0.2))]
 
 
 def wall(colour=None, depth=None, labels=None, opacity=0.9) -> Gaussians:
-    """A Gaussian a pixel of both views; what is given is of one view, and the same in the other."""
+    """Return one Gaussian for each pixel of two views with equal values in both."""
     colour = np.full((H, W, 3), 0.6, np.float32) if colour is None else colour.astype(np.float32)
     depth = np.full((H, W), 3.0, np.float32) if depth is None else depth.astype(np.float32)
     light = np.full((H, W), opacity, np.float32)

@@ -1,4 +1,4 @@
-"""Every backend draws the same picture: on easy scenes, on named hard ones, and on random ones."""
+"""All backends render the same image: easy, named hard, and random scenes."""
 
 import math
 from dataclasses import replace
@@ -37,7 +37,7 @@ EXACT = PRESETS["exact"]
 @pytest.mark.parametrize("preset", ["exact", "fast"])
 @pytest.mark.parametrize("name", CASES)
 def test_the_cpu_backend_is_the_reference(name, preset):
-    """Without cut-offs but for rounding; with them but for what the preset leaves out."""
+    """Equal up to rounding without cut-offs, and up to the preset's cut-offs with them."""
     if (name, preset) != (ALL_CUT, "fast"):
         assert np.all(np.array(measure(name, preset)) < bounds(name, preset))
 
@@ -108,7 +108,7 @@ def plain(output: Gaussians, values: torch.Tensor, view: Camera, chosen: Setting
 
 
 def plain_scene() -> tuple[Gaussians, torch.Tensor, Camera]:
-    """Everything a camera can have, and a splat or two of every kind."""
+    """Return a camera with all parameters, and splats of every kind."""
     view = camera(14, 10, 12, cx=4, cy=7, skew=1.5, c2w=rotated(3, (1, 2, 3)), aspect=1.3)
     output, values = cloud(40, 3, 0.6, view, 3)
     output.opacities[:20] = 0.3 + 0.7 * output.opacities[:20]

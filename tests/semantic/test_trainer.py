@@ -1,4 +1,4 @@
-"""Training learns, leaves the same bytes whatever happens to it, and says what stops it."""
+"""Training: learning, reproducible bytes despite interruptions, and refusals."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ def bytes_in(folder: Path) -> dict[str, bytes]:
 
 @pytest.fixture(autouse=True, scope="module")
 def _alone():
-    """These images are too small to share, and on a busy machine sharing waits for others."""
+    """Use one thread: these images are too small to share work."""
     with kernels_on(1):
         yield
 

@@ -26,7 +26,7 @@ def test_a_clip_counts_once_however_many_lessons_it_has():
 
 
 def test_a_gain_within_noise_is_none():
-    """Weights come into use by this: a mean above 0 is not enough, the whole interval must be."""
+    """Weights are promoted only if the complete interval of the gain is above 0."""
     noise = [0.03, -0.03, 0.02, -0.02, 0.025, -0.025, 0.01, -0.01]  # standard error 0.0075
     verdicts = {}
     for step in (0.005, 0.01, 0.03):

@@ -1,4 +1,4 @@
-"""Versions of weights: what is in use is always there, and nothing is forgotten."""
+"""Versions of weights: the current one always exists, and none is lost."""
 
 import multiprocessing
 import os
@@ -34,7 +34,7 @@ def test_the_way_of_three_versions(versions):
 
 
 def test_what_was_not_compared_with_what_is_in_use_does_not_replace_it(versions):
-    """A person puts another version to use while a candidate is trained."""
+    """Another version is promoted while a candidate is trained."""
     first = versions.add(b"one", {}, True, "the first")
     versions.use(None)
     late = versions.add(b"two", {}, True, "better by 0.1", first)

@@ -1,4 +1,4 @@
-"""Trains, and is killed in the middle of it, as by a machine that runs out of memory.
+"""A training that is killed in the middle, as by a machine that runs out of memory.
 
 ``python train_and_die.py FOLDER STEP`` is killed right after that step.
 """

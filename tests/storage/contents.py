@@ -17,5 +17,5 @@ def failures(*scenes: str) -> pa.Table:
 
 
 def weights(size: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """Bytes that no compression makes fewer."""
+    """Return incompressible bytes."""
     return {"safetensors": np.random.default_rng(seed).integers(0, 256, size, np.uint8)}

@@ -1,4 +1,4 @@
-"""A store on S3 of which requests fail in every way that networks know: nothing is lost by it."""
+"""A store on S3 with failing requests: nothing is lost."""
 
 import pyarrow as pa
 import pytest
@@ -19,7 +19,7 @@ KEY = f"masks/v1/{'0' * 64}"
 
 @pytest.fixture
 def weather(bucket, s3_server, monkeypatch):
-    """Bad weather before the server of a bucket, and a store behind it, without copies."""
+    """Return a function that starts a faulty proxy before a bucket, and a store without copies."""
     proxies = []
 
     def begin(share: float, *faults: str, **more) -> tuple[BadWeather, ArtifactStore]:

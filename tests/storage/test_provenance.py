@@ -1,4 +1,4 @@
-"""Files say what they hold and what made them, to whoever has pyarrow or NumPy alone."""
+"""Files describe their content and origin, readable with pyarrow or NumPy alone."""
 
 import io
 import json

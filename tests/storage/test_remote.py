@@ -1,4 +1,4 @@
-"""No credential in a URL gets any further than the door."""
+"""Credentials in URLs appear in no message or file."""
 
 import pytest
 from hypothesis import given

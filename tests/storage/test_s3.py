@@ -1,4 +1,4 @@
-"""A store on a real S3 server, moto's, and what its users meet: no rights, no network, kill -9."""
+"""A store on a real S3 server (moto): missing rights, no network, killed writers."""
 
 import urllib.request
 
@@ -88,7 +88,7 @@ def test_with_wrong_credentials_the_sentence_does_not_say_them(bucket, fresh, s3
 
 
 def test_a_server_that_does_not_answer_is_no_damage(bucket, fresh, monkeypatch):
-    """It must not be taken for a lost result, or everything would be computed again."""
+    """Otherwise results would count as lost and be computed again."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://someone:hidden@127.0.0.1:9")
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)

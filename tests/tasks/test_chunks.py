@@ -1,4 +1,4 @@
-"""The digest of a file is remembered for exactly as long as the file is what it was."""
+"""The digest of a file is cached until the file changes."""
 
 import hashlib
 import os
@@ -18,7 +18,7 @@ from tasks.chunks import digest_of
 
 @pytest.fixture
 def hashed(monkeypatch):
-    """Counts how often a file is read."""
+    """Count how often a file is read."""
     counts = []
     digest = hashlib.file_digest
     monkeypatch.setattr(chunks.hashlib, "file_digest", lambda *a: counts.append(1) or digest(*a))

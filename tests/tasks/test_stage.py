@@ -1,4 +1,4 @@
-"""Stages on their way to workers, which are threads, processes or other machines."""
+"""Stages that are sent to workers: threads, processes or other machines."""
 
 import pickle
 import pkgutil

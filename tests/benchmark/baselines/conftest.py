@@ -10,12 +10,12 @@ from slgaussian.masks import load_proposer
 
 @pytest.fixture(scope="session")
 def room_inputs(room) -> Inputs:
-    """Shared by tests that do not look at what is worked out only once."""
+    """Inputs shared by tests that do not check what is computed once and cached."""
     data = room.sample, room.field, room.gaussians, room.label_maps
     return Inputs(*data, load_proposer("regions"))
 
 
 @pytest.fixture
 def fresh(room_inputs) -> Inputs:
-    """The same, with nothing worked out yet."""
+    """Return the same inputs without cached results."""
     return replace(room_inputs)

@@ -1,4 +1,4 @@
-"""The autoencoder of one scene gives back what it saw."""
+"""The autoencoder of one scene reproduces its training vectors."""
 
 import numpy as np
 import torch

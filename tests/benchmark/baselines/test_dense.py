@@ -1,4 +1,4 @@
-"""Answers a pixel against plain float64 formulas."""
+"""Dense answers, compared with plain float64 formulas."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def view() -> DenseView:
 
 
 def plain_gap(view: DenseView, text: str, rivals: list[str] | None = None) -> np.ndarray:
-    """In float64, pixel by pixel."""
+    """Compute the gap in float64, pixel by pixel."""
     vectors = view.vectors.astype(np.float64)
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     vectors = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)

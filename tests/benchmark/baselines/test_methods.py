@@ -25,7 +25,7 @@ LEAST_IOU = {"no-association": 0.3, "langsplat-like": 0.6}
 
 
 def load_quick(name: str) -> Method:
-    """Make a method with less work for the same code."""
+    """Load a method with settings that take little time and run the same code."""
     row = ROWS[name]
     quick = {"steps": 200} if row.method == "langsplat-like" else {}
     return load_method(row.method, **{**row.settings, **quick})

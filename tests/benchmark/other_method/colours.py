@@ -1,4 +1,4 @@
-"""A method of another package: a text is where the picture has the colour that it names."""
+"""A method of another package: a text matches pixels of the colour that it names."""
 
 from dataclasses import dataclass
 
@@ -19,12 +19,12 @@ COLOURS = {
 
 @dataclass
 class Colours:
-    """Settings of the method, and what it is before it knows a scene."""
+    """Settings of the method; calling it prepares a scene."""
 
     within: float = 0.75
 
     def __call__(self, inputs):
-        """Prepare a scene: here is time to compute whatever all views and texts need."""
+        """Prepare a scene: compute what all views and texts need."""
         return Scene(inputs.field, self.within)
 
 
@@ -34,7 +34,7 @@ class Scene:
     within: float
 
     def render(self, camera):
-        """The scene as a camera sees it, drawn by the Gaussians that all methods share."""
+        """Render a view from the Gaussians that all methods share."""
         return View(self.field.render(camera), self.within)
 
 
@@ -45,7 +45,7 @@ class View:
         self.reader = self
 
     def unknown_words(self, text):
-        """The words of a text that do not count; InputError if none does."""
+        """Return the words of a text that are ignored; InputError if all are."""
         unknown = tuple(word for word in text.split() if word not in COLOURS)
         if len(unknown) == len(text.split()):
             raise InputError(f"{text!r}: names no colour")

@@ -1,4 +1,4 @@
-"""The published implementation's numbers, and a network with the weights that they were made of."""
+"""Reference outputs of the published implementation, and a network with the same weights."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from slgaussian.scene import Camera
 
 @pytest.fixture(autouse=True)
 def all_here(one_thread) -> None:
-    """Every test of this folder."""
+    """Skip the tests of this folder without the reference."""
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +44,7 @@ def reference() -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="session")
 def cameras(reference) -> list[Camera]:
-    """Of the two views that the reference was given."""
+    """Return the cameras of the reference's two views."""
     size = reference["input/image"].shape[-1]
     pixels = np.diag([size, size, 1.0])
     matrices = zip(reference["input/intrinsics"], reference["input/extrinsics"], strict=True)
