@@ -1,4 +1,4 @@
-"""Pairs of photographs from which no cameras can be found, by their flaw, and two good pairs."""
+"""Pairs of photographs that camera estimation must refuse, by their flaw, and two good pairs."""
 
 from functools import cache
 
@@ -30,7 +30,7 @@ def motorcycle() -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def room(seed: int, x: float, yaw: float = 0.0) -> np.ndarray:
-    """A procedural room from ``x`` metres right of its middle, turned by degrees to the right."""
+    """Render a room from ``x`` metres right of its middle, turned right by degrees."""
     c2w = looking(np.array([x, -3.1, 1.4]))
     c2w[:3, :3] = c2w[:3, :3] @ turned(y=yaw)
     light = RenderedRoom.of(seed).light(pinhole(0.9 * 480, 480, 360, c2w))
@@ -38,19 +38,19 @@ def room(seed: int, x: float, yaw: float = 0.0) -> np.ndarray:
 
 
 def turned(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """A rotation [3, 3] by degrees about the axes x, then y, then z."""
+    """Return a rotation [3, 3] by degrees about the axes x, then y, then z."""
     return Rotation.from_euler("xyz", (x, y, z), degrees=True).as_matrix()
 
 
-def of_plane(texture: np.ndarray, metre: float, R: np.ndarray, at, z: float = 3.0) -> np.ndarray:
-    """A poster as a camera with pose ``R`` (to world) and ``at`` shows it, float32 [480, 640, C].
+def render_plane(texture: np.ndarray, scale: float, R: np.ndarray, center, z=3.0) -> np.ndarray:
+    """Render a texture at depth ``z``, float32 [480, 640, C].
 
-    The poster hangs at depth ``z``, its middle on the z axis, ``metre`` of its pixels a unit.
+    Its middle is on the z axis, and ``scale`` of its pixels are a unit. ``R`` is camera-to-world.
     """
     height, width = texture.shape[:2]
-    lay = [[1 / metre, 0, -width / 2 / metre], [0, 1 / metre, -height / 2 / metre], [0, 0, z]]
-    centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV counts centres at 0
-    H = np.linalg.inv(centre) @ K @ R.T @ (lay - np.outer(at, (0, 0, 1))) @ centre
+    to_world = [[1 / scale, 0, -width / 2 / scale], [0, 1 / scale, -height / 2 / scale], [0, 0, z]]
+    half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV counts pixel centres at 0
+    H = np.linalg.inv(half) @ K @ R.T @ (to_world - np.outer(center, (0, 0, 1))) @ half
     return cv2.warpPerspective(texture.astype(np.float32), H, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
 
 
@@ -59,14 +59,14 @@ def with_noise(image: np.ndarray, seed: int) -> np.ndarray:
     return np.uint8(np.clip(image + rng.normal(0, 2, image.shape), 0, 255) + 0.5)
 
 
-def poster(R: np.ndarray, at: tuple[float, float, float], seed: int) -> np.ndarray:
-    """A flat picture that fills what a camera sees."""
+def poster(R: np.ndarray, center: tuple[float, float, float], seed: int) -> np.ndarray:
+    """Render a flat picture that fills the view."""
     flat = cv2.resize(motorcycle()[0], None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
-    return with_noise(of_plane(flat, 370, R, at), seed)
+    return with_noise(render_plane(flat, 370, R, center), seed)
 
 
-def facade(R: np.ndarray, at: tuple[float, float, float], seed: int) -> np.ndarray:
-    """A wall with windows a metre apart, all alike, whose panes lie .25 behind it."""
+def facade(R: np.ndarray, center: tuple[float, float, float], seed: int) -> np.ndarray:
+    """Render a wall of equal windows a metre apart, whose panes lie .25 behind it."""
     rng = np.random.default_rng(5)
     size, tiles = 160, 17
 
@@ -79,21 +79,21 @@ def facade(R: np.ndarray, at: tuple[float, float, float], seed: int) -> np.ndarr
     hole[40:130, 35:125] = 1
     hole[82:88, :] = 0
     wall, panes = tiled(170, 25), tiled(90, 35)
-    near = of_plane(np.dstack([wall, np.tile(hole, (tiles, tiles))]), size, R, at, 4.0)
+    near = render_plane(np.dstack([wall, np.tile(hole, (tiles, tiles))]), size, R, center, 4.0)
     through = near[..., 3:]
-    far = of_plane(panes, size, R, at, 4.25)
+    far = render_plane(panes, size, R, center, 4.25)
     return with_noise(near[..., :3] * (1 - through) + far * through, seed)
 
 
-def bikes() -> list[Photograph]:
+def motorcycle_pair() -> list[Photograph]:
     return photographs(*motorcycle())
 
 
-def a_room() -> list[Photograph]:
+def room_pair() -> list[Photograph]:
     return photographs(room(5, -0.3), room(5, 0.3))
 
 
-def _exposure() -> list[Photograph]:
+def _other_exposure() -> list[Photograph]:
     left, _ = motorcycle()
     darker = 255 * (0.75 * left / 255) ** 1.4
     _, jpeg = cv2.imencode(".jpg", with_noise(darker, 1), [cv2.IMWRITE_JPEG_QUALITY, 85])
@@ -106,8 +106,8 @@ def _plane() -> list[Photograph]:
     )
 
 
-def _clustered() -> list[Photograph]:
-    """A part of one photograph stands in the corner of another, as on a screen."""
+def _common_corner() -> list[Photograph]:
+    """Return a photograph, and one that has a part of it in a corner, as on a screen."""
     left, right = motorcycle()
     cat = cv2.resize(skimage.data.chelsea(), left.shape[1::-1], interpolation=cv2.INTER_AREA)
     cat[20:190, 30:230] = right[200:370, 250:450]
@@ -115,25 +115,24 @@ def _clustered() -> list[Photograph]:
 
 
 def _facade() -> list[Photograph]:
-    """The second camera has moved by a window's width, and then some."""
+    """Move the second camera by more than a window's width."""
     return photographs(
         facade(turned(y=3), (-0.55, 0.0, 0.0), 4), facade(turned(y=-3), (0.55, 0.0, 0.5), 5)
     )
 
 
 def _blurred() -> list[Photograph]:
-    """Two views of a room, all but lost in blur."""
     return photographs(*(cv2.GaussianBlur(room(5, x), (0, 0), 7) for x in (-0.3, 0.3)))
 
 
 REFUSED = {
-    "one photograph twice": (lambda: photographs(*[motorcycle()[0]] * 2), "one place"),
-    "another exposure": (_exposure, "one place"),
-    "a pure rotation": (lambda: photographs(room(5, 0.0), room(5, 0.0, yaw=9.0)), "sideways"),
-    "a plane": (_plane, "flat"),
-    "a blurred pair": (_blurred, "blur|few|found"),
-    "one corner in common": (_clustered, "part|few"),
-    "two places": (lambda: photographs(room(3, -0.3), room(5, 0.3)), "overlap|place|few|found"),
-    "a repeated facade": (_facade, "repeat|flat"),
+    "same photograph": (lambda: photographs(*[motorcycle()[0]] * 2), "one place"),
+    "other exposure": (_other_exposure, "one place"),
+    "pure rotation": (lambda: photographs(room(5, 0.0), room(5, 0.0, yaw=9.0)), "sideways"),
+    "plane": (_plane, "flat"),
+    "blur": (_blurred, "blur|few|found"),
+    "common corner": (_common_corner, "part|few"),
+    "two rooms": (lambda: photographs(room(3, -0.3), room(5, 0.3)), "overlap|place|few|found"),
+    "repeated windows": (_facade, "repeat|flat"),
 }
-"""By name: what makes the two photographs, and what the refusal says, a regular expression."""
+"""By flaw: a function that makes the photographs, and a regular expression of the refusal."""

@@ -1,4 +1,4 @@
-"""The procedural rooms seen by any camera: photographs whose cameras are exactly known."""
+"""Procedural rooms rendered for any camera: photographs with exact cameras and depths."""
 
 from __future__ import annotations
 
@@ -13,15 +13,10 @@ from slgaussian.datasets.procedural.textures import Materials
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Camera
 
-MIDDLE = FOCUS
-"""What there is most to see around, metres; z is up."""
-
-OBJECTS = 10
-
 
 @dataclass(frozen=True, eq=False)
 class RenderedRoom:
-    """A room that any camera may look at, wherever it stands inside."""
+    """A room with its materials; z is up, units are metres."""
 
     room: Room
     materials: Materials
@@ -29,24 +24,24 @@ class RenderedRoom:
     @staticmethod
     def of(seed: int) -> RenderedRoom:
         name = f"rendered_{seed}"
-        # Furnished for two small views, as the reader of these rooms does.
-        ends = [pinhole(65, 72, 52, looking(MIDDLE + [x, -3.3, 0.95])) for x in (-0.3, 0.3)]
-        room = furnish(rng_for(seed, name, "room"), OBJECTS, ends)
+        # Furnished for two small views, as by the reader of the data set.
+        ends = [pinhole(65, 72, 52, looking(FOCUS + [x, -3.3, 0.95])) for x in (-0.3, 0.3)]
+        room = furnish(rng_for(seed, name, "room"), 10, ends)
         return RenderedRoom(room, room.materials(rng_for(seed, name, "materials")))
 
     def light(self, camera: Camera) -> np.ndarray:
-        """Linear light float64 [H, W, 3], about 0 to 1."""
+        """Render linear light float64 [H, W, 3], about 0 to 1."""
         solids, casters = self.room.solids(), self.room.solids(casters=True)
         return photograph(solids, casters, self.materials, self.room.light, camera)
 
     def depth(self, camera: Camera) -> np.ndarray:
-        """Depths along z, float32 [H, W], metres; infinity where nothing is."""
+        """Render depths along z, float32 [H, W], infinity where there is no surface."""
         t, _ = raycast.cast(self.room.solids(), camera.center, camera.rays())
         return t.astype(np.float32)
 
 
-def looking(eye: np.ndarray, target: np.ndarray = MIDDLE, roll: float = 0.0) -> np.ndarray:
-    """Camera-to-world [4, 4] of a camera at ``eye`` towards ``target``, rolled by degrees."""
+def looking(eye: np.ndarray, target: np.ndarray = FOCUS, roll: float = 0.0) -> np.ndarray:
+    """Return camera-to-world [4, 4] at ``eye`` towards ``target``, rolled by degrees."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
@@ -59,12 +54,12 @@ def looking(eye: np.ndarray, target: np.ndarray = MIDDLE, roll: float = 0.0) -> 
 
 
 def pinhole(focal: float, width: int, height: int, c2w: np.ndarray) -> Camera:
-    """A camera whose optical axis meets the middle of its image."""
+    """Return a camera whose principal point is the middle of its image."""
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return Camera(K, c2w, width, height)
 
 
 def encoded(light: np.ndarray) -> np.ndarray:
-    """SRGB in [0, 1] (IEC 61966-2-1) of linear light, clipped."""
+    """Encode linear light, clipped, as sRGB in [0, 1] (IEC 61966-2-1)."""
     light = np.clip(light, 0, 1)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

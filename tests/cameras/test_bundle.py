@@ -1,4 +1,4 @@
-"""Bundle adjustment against SciPy's least squares, against differences, and on hard cases."""
+"""Bundle adjustment against SciPy's least squares and finite differences, and on hard cases."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def true_bundle(
     views: int, points: int, seed: int, *, noise=0.5, outliers=0.0, turned=0.1,
     depths=(4.0, 9.0), lenses=1, sigma=np.inf,
 ) -> Bundle:  # fmt: skip
-    """Cameras of 600 px, side by side, and what they see of points in front of them."""
+    """Return cameras side by side, points in front of them and noisy observations."""
     rng = np.random.default_rng(seed)
     R = Rotation.from_rotvec(rng.normal(0, turned, (views, 3))).as_matrix()
     R[0] = np.eye(3)
@@ -46,7 +46,7 @@ def true_bundle(
 
 
 def reprojection(bundle: Bundle) -> np.ndarray:
-    """Projected minus observed positions [M, 2], pixels, written out."""
+    """Return projected minus observed positions [M, 2], pixels."""
     local = (bundle.R[bundle.view] @ bundle.points[bundle.point][:, :, None])[..., 0]
     local += bundle.t[bundle.view]
     focals = bundle.focals[bundle.group[bundle.view]]
@@ -54,14 +54,14 @@ def reprojection(bundle: Bundle) -> np.ndarray:
     return uv + bundle.centers[bundle.view] - bundle.xy
 
 
-def shaken(bundle: Bundle, seed: int, by: float = 0.02) -> Bundle:
-    """The same observations, everything else a little wrong."""
+def perturbed(bundle: Bundle, seed: int, sigma: float = 0.02) -> Bundle:
+    """Perturb everything but the observations and the gauge."""
     rng = np.random.default_rng(seed)
     views = len(bundle.R)
-    turned = rng.normal(0, by, (views, 3))
+    turned = rng.normal(0, sigma, (views, 3))
     turned[0] = 0
     length = np.linalg.norm(bundle.t[1])
-    t = bundle.t + rng.normal(0, by, (views, 3)) * length
+    t = bundle.t + rng.normal(0, sigma, (views, 3)) * length
     t[0] = 0
     t[1] *= length / np.linalg.norm(t[1])
     free = bundle.focal_sigma > 0
@@ -69,28 +69,29 @@ def shaken(bundle: Bundle, seed: int, by: float = 0.02) -> Bundle:
         bundle,
         R=Rotation.from_rotvec(turned).as_matrix() @ bundle.R,
         t=t,
-        focals=bundle.focals * np.exp(free * rng.normal(0, 2 * by, len(bundle.focals))),
-        points=bundle.points * np.exp(rng.normal(0, by, (len(bundle.points), 1))),
+        focals=bundle.focals * np.exp(free * rng.normal(0, 2 * sigma, len(bundle.focals))),
+        points=bundle.points * np.exp(rng.normal(0, sigma, (len(bundle.points), 1))),
     )
 
 
 def stepped(bundle: Bundle, step: np.ndarray) -> Bundle:
-    """The bundle after a step of its cameras [6 V + G], as the covariance orders them."""
+    """Apply a step of the cameras [6 V + G], in the order of the covariance."""
     poses, logs = np.split(step, [6 * len(bundle.R)])
     turns, moves = np.split(poses.reshape(-1, 6), 2, axis=1)
     R = Rotation.from_rotvec(turns).as_matrix() @ bundle.R
     return replace(bundle, R=R, t=bundle.t + moves, focals=bundle.focals * np.exp(logs))
 
 
-def differences(function) -> np.ndarray:
-    """Derivative at 0 of a function of one number."""
-    return (function(1e-6) - function(-1e-6)) / 2e-6
+def central_differences(function, count: int) -> np.ndarray:
+    """Return the derivatives at 0 of a function of ``count`` numbers, on the last axis."""
+    steps = 1e-6 * np.eye(count)
+    return np.stack([(function(step) - function(-step)) / 2e-6 for step in steps], -1)
 
 
-def turned_by(bundle: Bundle, truth: Bundle) -> float:
-    """Degrees of the worst rotation between two bundles' cameras."""
-    off = Rotation.from_matrix(bundle.R @ truth.R.transpose(0, 2, 1))
-    return float(np.degrees(off.magnitude().max()))
+def rotation_error(bundle: Bundle, truth: Bundle) -> float:
+    """Return the largest angle between two bundles' cameras, degrees."""
+    error = Rotation.from_matrix(bundle.R @ truth.R.transpose(0, 2, 1))
+    return float(np.degrees(error.magnitude().max()))
 
 
 def centers_of(bundle: Bundle) -> np.ndarray:
@@ -98,7 +99,7 @@ def centers_of(bundle: Bundle) -> np.ndarray:
 
 
 def reference_cost(bundle: Bundle, scale: float) -> float:
-    """The cost that SciPy finds when it moves all cameras, points and focal lengths freely."""
+    """Return SciPy's minimum over all cameras, points and focal lengths."""
     V, N = len(bundle.R), len(bundle.points)
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -106,14 +107,14 @@ def reference_cost(bundle: Bundle, scale: float) -> float:
         R = Rotation.from_rotvec(turn.reshape(-1, 3)).as_matrix() @ bundle.R
         t, points = t.reshape(-1, 3), points.reshape(-1, 3)
         moved = replace(bundle, R=R, t=t, points=points, focals=np.exp(logs))
-        # As 3 log(1 + r^2 / s^2) = (root of it)^2, plain least squares minimises the same cost.
+        # Least squares of the root of 3 log(1 + r^2 / s^2) minimises the same robust cost.
         r = reprojection(moved)
         r2 = (r**2).sum(1, keepdims=True) / scale**2
         weighted = r / scale * np.sqrt(3 * np.log1p(r2) / np.maximum(r2, 1e-12))
-        off = [np.log(moved.focals / bundle.focal_prior) / bundle.focal_sigma]
+        priors = [np.log(moved.focals / bundle.focal_prior) / bundle.focal_sigma]
         if bundle.poses is not None:
-            off.append(bundle.poses.pull(R, t)[0].ravel())
-        return np.concatenate([weighted.ravel(), *off])
+            priors.append(bundle.poses.pull(R, t)[0].ravel())
+        return np.concatenate([weighted.ravel(), *priors])
 
     start = np.zeros(3 * V), bundle.t.ravel(), bundle.points.ravel(), np.log(bundle.focals)
     result = least_squares(residuals, np.concatenate(start), x_scale="jac", max_nfev=80)
@@ -124,9 +125,9 @@ def reference_cost(bundle: Bundle, scale: float) -> float:
     ("views", "points", "outliers", "lenses", "posed"),
     [(2, 14, 0.0, 1, False), (3, 12, 0.1, 2, False), (3, 12, 0.1, 1, True)],
 )
-def test_as_low_a_cost_as_scipy_finds(views, points, outliers, lenses, posed):
+def test_cost_equals_the_minimum_of_scipy(views, points, outliers, lenses, posed):
     truth = true_bundle(views, points, 3, outliers=outliers, lenses=lenses, sigma=0.3)
-    start = shaken(truth, 4)
+    start = perturbed(truth, 4)
     if posed:
         prior = PosePrior(start.R, centers_of(start), 0.01, np.array([0.01, 0.02, 0.03]))
         start = replace(start, poses=prior)
@@ -142,8 +143,8 @@ def test_as_low_a_cost_as_scipy_finds(views, points, outliers, lenses, posed):
     st.integers(2, 4), st.integers(1, 8), st.integers(1, 2), st.booleans(), st.integers(0, 2**31)
 )
 @example(3, 1, 1, False, 2**31 - 1)  # no point is observed
-def test_derivatives_are_those_of_differences(views, points, lenses, posed, seed):
-    start = shaken(true_bundle(views, points, seed, lenses=lenses, sigma=0.3), seed)
+def test_derivatives_match_central_differences(views, points, lenses, posed, seed):
+    start = perturbed(true_bundle(views, points, seed, lenses=lenses, sigma=0.3), seed)
     start = replace(start, points=homogeneous(start.points))
     if posed:
         prior = PosePrior(start.R, centers_of(start) + 0.1, 0.1, np.linspace(0.1, 0.3, views))
@@ -151,61 +152,59 @@ def test_derivatives_are_those_of_differences(views, points, lenses, posed, seed
     problem = module._Problem(start, 1.0)
     state = problem.project(start)
     camera, point = problem.derivatives(state)
-    slopes = []
-    for k, unit in enumerate(np.eye(6 * views + lenses)):
+    count = 6 * views + lenses
 
-        def at(h, unit=unit):
-            return problem.project(stepped(start, h * unit))
+    def project(step):
+        return problem.project(stepped(start, step))
 
-        columns = (problem.columns[start.view] == k).astype(float)
-        of_camera = np.einsum("mik,mk->mi", camera, columns)
-        expected = differences(lambda h: at(h).residuals)
-        np.testing.assert_allclose(of_camera, expected, atol=1e-3)
-        slopes.append(differences(lambda h: at(h).cost))
+    columns = problem.columns[start.view][:, :, None] == np.arange(count)
+    expected = central_differences(lambda step: project(step).residuals, count)
+    np.testing.assert_allclose(np.einsum("mik,mkp->mip", camera, columns), expected, atol=1e-3)
     gradient = -2 * problem.normal(state).camera_side
+    slopes = central_differences(lambda step: project(step).cost, count)
     np.testing.assert_allclose(gradient, slopes, rtol=1e-4, atol=1e-2)
-    for k, across in enumerate(np.moveaxis(module._tangents(start.points), 2, 0)):
+    tangents = module._tangents(start.points)
 
-        def along(h, across=across):
-            return problem.project(replace(start, points=start.points + h * across)).residuals
+    def residuals(step):
+        return problem.project(replace(start, points=start.points + tangents @ step)).residuals
 
-        np.testing.assert_allclose(point[:, :, k], differences(along), atol=1e-2, rtol=1e-5)
+    expected = central_differences(residuals, 3)
+    np.testing.assert_allclose(point, expected, atol=1e-2, rtol=1e-5)
 
 
-def test_the_prior_of_poses_is_in_its_deviations_and_has_the_derivatives_of_differences():
+def test_pose_prior_is_in_deviations_and_its_derivatives_match_central_differences():
     truth = true_bundle(3, 4, 1)
     turn, move = 0.02, np.array([0.1, 0.3, 0.5])
-    off = np.random.default_rng(2).normal(0, 1, (3, 6))
-    R = Rotation.from_rotvec(off[:, :3] * turn).as_matrix() @ truth.R
-    t = -np.einsum("vij,vj->vi", R, centers_of(truth) + off[:, 3:] * move[:, None])
+    deviations = np.random.default_rng(2).normal(0, 1, (3, 6))
+    R = Rotation.from_rotvec(deviations[:, :3] * turn).as_matrix() @ truth.R
+    t = -np.einsum("vij,vj->vi", R, centers_of(truth) + deviations[:, 3:] * move[:, None])
     prior = PosePrior(truth.R, centers_of(truth), turn, move)
-    np.testing.assert_allclose(prior.pull(R, t)[0], off, atol=1e-9)
-    # Derivatives at the prior itself, where its rotation vector is the step of the camera's.
+    np.testing.assert_allclose(prior.pull(R, t)[0], deviations, atol=1e-9)
+    # At the prior itself, its rotation vector is the camera's step.
     _, slopes = prior.pull(truth.R, truth.t)
-    for k in range(6):
 
-        def pull(h, k=k):
-            moved = stepped(truth, np.append(np.tile(h * np.eye(6)[k], 3), 0))
-            return prior.pull(moved.R, moved.t)[0]
+    def pull(step):
+        moved = stepped(truth, np.append(np.tile(step, 3), 0))
+        return prior.pull(moved.R, moved.t)[0]
 
-        np.testing.assert_allclose(slopes[:, :, k], differences(pull), atol=1e-5)
+    np.testing.assert_allclose(slopes, central_differences(pull, 6), atol=1e-5)
 
 
-def test_without_noise_the_truth_comes_back(monkeypatch):
+def test_exact_observations_restore_the_truth(monkeypatch):
     truth = true_bundle(4, 80, 1, noise=0.0, lenses=2)
-    start = shaken(truth, 2)
+    start = perturbed(truth, 2)
     for chunk in (module._CHUNK, 500):  # all points at once, and in pieces
         monkeypatch.setattr(module, "_CHUNK", chunk)
         result = adjust(start, iterations=100, tolerance=1e-14).bundle
-        assert turned_by(result, truth) < 1e-4
+        assert rotation_error(result, truth) < 1e-4
         np.testing.assert_allclose(result.t, truth.t, atol=1e-5)
         np.testing.assert_allclose(result.focals, 600, rtol=1e-5)
-        several = np.bincount(truth.point) > 1
-        points = result.points[several]
-        np.testing.assert_allclose(points, truth.points[several], rtol=1e-4, atol=1e-4)
+        triangulated = np.bincount(truth.point) > 1
+        points, expected = result.points[triangulated], truth.points[triangulated]
+        np.testing.assert_allclose(points, expected, rtol=1e-4, atol=1e-4)
 
 
-def test_points_near_infinity():
+def test_points_near_infinity_converge():
     near = true_bundle(2, 60, 5, noise=0.3)
     far = true_bundle(2, 60, 5, noise=0.3, depths=(1e5, 1e7))
     both = replace(
@@ -216,39 +215,39 @@ def test_points_near_infinity():
         xy=np.concatenate([near.xy, far.xy]),
         focal_sigma=np.zeros(1),
     )
-    # Where only their direction is known they start near, and one of them behind the camera.
-    start = shaken(both, 6, 0.01)
+    # Only directions of the far points are known: they start near, one behind the camera.
+    start = perturbed(both, 6, 0.01)
     start.points[60:] *= 20 / start.points[60:, 2:]
     start.points[60] *= -100
     result = adjust(start)
     assert np.abs(result.residuals).max() < 2
-    assert turned_by(result.bundle, near) < 0.1
+    assert rotation_error(result.bundle, near) < 0.1
     assert np.abs(result.bundle.points[60:, 2]).min() > 300
 
 
-def test_thirty_percent_of_outliers():
+def test_thirty_percent_of_outliers_are_rejected():
     truth = true_bundle(2, 400, 7, outliers=0.3, sigma=0.3)
-    result = adjust(shaken(truth, 8, 0.01))
-    assert turned_by(result.bundle, truth) < 0.5
-    a, b = (one.t[1] / np.linalg.norm(one.t[1]) for one in (result.bundle, truth))
+    result = adjust(perturbed(truth, 8, 0.01))
+    assert rotation_error(result.bundle, truth) < 0.5
+    a, b = (bundle.t[1] / np.linalg.norm(bundle.t[1]) for bundle in (result.bundle, truth))
     assert a @ b > np.cos(np.radians(1.5))
     np.testing.assert_allclose(result.residuals, reprojection(result.bundle), atol=1e-6)
     assert np.linalg.norm(result.residuals, axis=1).max() > 30
 
 
-def test_distance_of_a_view_is_not_in_its_direction():
+def test_uncertain_distance_does_not_count_as_uncertain_direction():
     result = adjust(true_bundle(3, 60, 9))
     t = result.bundle.t[2]
-    along = np.outer(t, t) / (t @ t)
+    along_t = np.outer(t, t) / (t @ t)
     covariance = np.zeros_like(result.covariance)
-    covariance[15:18, 15:18] = 0.04 * along + 1e-6 * (np.eye(3) - along)
+    covariance[15:18, 15:18] = 0.04 * along_t + 1e-6 * (np.eye(3) - along_t)
     expected = 0, np.degrees(1e-3 / np.linalg.norm(t))
     assert replace(result, covariance=covariance).degrees(2) == pytest.approx(expected)
 
 
-def test_fixed_things_stay():
+def test_gauge_and_fixed_focal_lengths_stay():
     truth = replace(true_bundle(3, 40, 12, lenses=3), focal_sigma=np.array([0.0, 0.1, np.inf]))
-    result = adjust(shaken(truth, 13))
+    result = adjust(perturbed(truth, 13))
     assert result.bundle.focals[0] == 600 != result.bundle.focals[1]
     assert np.array_equal(result.bundle.R[0], np.eye(3))
     assert not result.bundle.t[0].any()
@@ -257,16 +256,15 @@ def test_fixed_things_stay():
 
 
 @pytest.mark.parametrize("views", [2, 4])
-def test_covariance_is_that_of_the_errors(views):
-    """Over many draws of the noise, errors divided by their deviations spread by about one."""
+def test_covariance_predicts_errors_over_many_draws_of_noise(views):
     turned, focal = [], []
     truth = true_bundle(views, 50, 20, turned=0.3, sigma=0.3)
     clean = reprojection(truth) + truth.xy
     for seed in range(30):
         noise = np.random.default_rng(seed).normal(0, 0.5, clean.shape)
         result = adjust(replace(truth, xy=clean + noise), scale=1.0)
-        off = Rotation.from_matrix(result.bundle.R[1] @ truth.R[1].T).as_rotvec()
-        turned.append(off @ np.linalg.solve(result.covariance[6:9, 6:9], off) / 3)
+        error = Rotation.from_matrix(result.bundle.R[1] @ truth.R[1].T).as_rotvec()
+        turned.append(error @ np.linalg.solve(result.covariance[6:9, 6:9], error) / 3)
         focal.append(np.log(result.bundle.focals[0] / 600) / result.focal_deviations[0])
     assert 0.6 < np.sqrt(np.mean(turned)) < 1.6
     assert 0.6 < np.sqrt(np.mean(np.square(focal))) < 1.6

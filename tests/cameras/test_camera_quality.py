@@ -1,4 +1,4 @@
-"""What is said of a pair's quality: true numbers where truth is known."""
+"""Measures of scene quality against known geometry, and the verdicts drawn from them."""
 
 from dataclasses import replace
 
@@ -22,60 +22,59 @@ def room() -> Sample:
     return scene.sample(list(scene.cameras))
 
 
-def of(sample: Sample, depths: np.ndarray) -> Quality:
+def quality_of(sample: Sample, depths: np.ndarray) -> Quality:
     geometry = SceneGeometry(tuple(map(SeenView, sample.context, depths)))
     return measure(geometry, check_pairs(sample.context, MatchGraph.of(sample.context)))[0]
 
 
-def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
+def test_true_depth_is_confirmed_and_wrong_or_missing_depth_is_not(room):
     depths = np.stack([view.depth for view in room.context])
-    good = of(room, depths)
+    good = quality_of(room, depths)
     assert good.camera_confidence(0.95) > 0.95
     assert 0.7 < good.overlap < 1 and 0.8 * good.overlap < good.confirmed <= 1
+    assert good.clash < 0.1 and good.verdict().level == "good"
     wrong = depths.copy()
     wrong[1] *= 1.1
-    assert of(room, wrong).confirmed < 0.1
-    assert good.clash < 0.1 and good.verdict().level == "good"
-    assert of(room, wrong).verdict().level == "poor"
+    poor = quality_of(room, wrong)
+    assert poor.confirmed < 0.1 and poor.verdict().level == "poor"
     half = depths.copy()
-    half[0, :, :108] = 0  # what is transparent in one view is not counted, nor confirms the other
-    assert of(room, half).overlap > 0.7 and of(room, half).confirmed < good.confirmed
+    half[0, :, :108] = 0  # Transparent pixels are not counted, and confirm none of the other view.
+    partial = quality_of(room, half)
+    assert partial.overlap > 0.7 and partial.confirmed < good.confirmed
 
 
-def test_two_planes_are_counted_by_hand(room):
-    """A wall at depth 2 seen from 0.5 apart: f b / Z = 25 of 100 columns fall outside."""
+def test_overlap_of_a_plane_matches_its_disparity(room):
+    """At depth 2 and a baseline of 0.5, f b / Z = 25 of 100 columns fall outside."""
     K, right = np.array([[100.0, 0, 50], [0, 100, 40], [0, 0, 1]]), np.eye(4)
     right[0, 3] = 0.5
     blank, depth = np.zeros((80, 100, 3), np.uint8), np.full((80, 100), 2.0, np.float32)
-    names = [view.name for view in room.context]
     views = [
-        View(name, Camera(K, c2w, 100, 80), blank)
-        for name, c2w in zip(names, (np.eye(4), right), strict=True)
+        View(view.name, Camera(K, c2w, 100, 80), blank)
+        for view, c2w in zip(room.context, (np.eye(4), right), strict=True)
     ]
     geometry = SceneGeometry(tuple(SeenView(view, depth) for view in views))
     checks = check_pairs(room.context, MatchGraph.of(room.context))
-    found, confirmed = measure(geometry, checks)
+    quality, confirmed = measure(geometry, checks)
     assert confirmed[0, :, 25:].all() and not confirmed[0, :, :25].any()
-    assert found.overlap == pytest.approx(0.75, abs=0.011)
-    assert found.confirmed == pytest.approx(0.75, abs=0.011) and found.turn == 0
+    assert quality.overlap == pytest.approx(0.75, abs=0.011)
+    assert quality.confirmed == pytest.approx(0.75, abs=0.011) and quality.turn == 0
 
 
-def test_of_many_views_those_are_judged_that_see_the_same_things():
-    """The nearest of each is one that shares nothing with it; in its row it shares half."""
+def test_views_are_judged_by_those_they_overlap_rather_than_the_nearest():
     depths = np.full((6, 80, 240), FAR, np.float32)
-    found = of(two_rows(), depths)
-    assert found.judged and found.explained > 0.9 and found.matches > 200
-    assert found.angle == pytest.approx(10.6, abs=0.5) and found.turn == 0
-    assert found.overlap == pytest.approx(0.5, abs=0.01) and found.apart == 0
-    assert found.confirmed == pytest.approx(4 / 6, abs=0.01)  # half at the ends, all between
-    assert found.verdict().level == "good"
-    depths[[0, 5]] = FAR / 3  # so near that what they show falls outside of all others
-    found = of(two_rows(), depths)
-    assert found.overlap == pytest.approx(0.5, abs=0.01) and found.apart == 2
-    assert found.verdict().level != "good"
+    quality = quality_of(two_rows(), depths)
+    assert quality.judged and quality.explained > 0.9 and quality.matches > 200
+    assert quality.angle == pytest.approx(10.6, abs=0.5) and quality.turn == 0
+    assert quality.overlap == pytest.approx(0.5, abs=0.01) and quality.apart == 0
+    assert quality.confirmed == pytest.approx(4 / 6, abs=0.01)  # half at the ends, all between
+    assert quality.verdict().level == "good"
+    depths[[0, 5]] = FAR / 3  # so near that they project outside of all other views
+    quality = quality_of(two_rows(), depths)
+    assert quality.overlap == pytest.approx(0.5, abs=0.01) and quality.apart == 2
+    assert quality.verdict().level != "good"
 
 
-def test_text_and_verdict():
+def test_summary_and_verdict():
     assert GOOD.summary() == (
         "quality: views overlap by 70%, lines of sight 12 degrees apart; the cameras explain 90% "
         "of 200 matches within 7.1 pixels; another view confirms 60% of the pixels"
@@ -94,7 +93,7 @@ def test_text_and_verdict():
     assert "too few agree" in replace(GOOD, judged=False, angle=None).summary()
 
 
-def test_found_cameras_are_less_sure_where_the_views_clash_or_the_matches_are_doubtful():
+def test_confidence_of_estimated_cameras_falls_with_clashes_and_doubtful_matches():
     clashes, matches = (0.0, 0.1, 0.3, 0.7), (1.0, 0.9, 0.5, 0.0)
     table = np.array(
         [[replace(GOOD, clash=c).camera_confidence(m) for m in matches] for c in clashes]

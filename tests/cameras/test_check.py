@@ -1,4 +1,4 @@
-"""Cameras that are not those of the photographs are refused, and the likely mistake is named."""
+"""Check of cameras against matches of photographs, and advice on usual mistakes."""
 
 from dataclasses import replace
 
@@ -62,7 +62,7 @@ def test_near_and_wide_pairs_are_not_refused(seed, baseline):
     assert check.coarse > 0.45 and not check.refuted
 
 
-def test_a_pair(room):
+def test_check_of_a_true_pair(room):
     (check,) = checked(room)
     assert check.views == ("view_00", "view_01") and check.judged and check.correction is None
     assert check.coarse > 0.7 and check.agreeing > 100
@@ -85,27 +85,25 @@ def test_a_pair(room):
         ),
     ],
 )
-def test_a_usual_mistake_is_refused_and_named(room, mistake, advice):
-    with pytest.raises(InputError, match="'view_00' and 'view_01': the cameras explain") as refused:
+def test_usual_mistake_is_refused_with_advice(room, mistake, advice):
+    with pytest.raises(InputError, match="'view_00' and 'view_01': the cameras explain") as error:
         checked(changed(room, mistake))
-    assert advice in str(refused.value) and "procedural_0" in str(refused.value)
+    assert advice in str(error.value) and "procedural_0" in str(error.value)
 
 
-def test_advice_on_given_and_on_estimated_cameras(room):
+def test_advice_differs_between_given_and_estimated_cameras(room):
     wrong = changed(room, lambda c: focal(c, 3))
     graph, predictor = MatchGraph.of(wrong.context), Method().predictor
     with pytest.raises(InputError, match="`slgaussian field` without --cameras finds them"):
         predict(wrong, graph, predictor, 0)
     guess = Estimated((0.9, 1.1), "guess", 0.5)
     wrong = changed(wrong, lambda c: replace(c, estimated=guess))
-    with pytest.raises(
-        InputError, match=r"that were found explain .*give their cameras"
-    ) as refused:
+    with pytest.raises(InputError, match=r"that were found explain .*give their cameras") as error:
         predict(wrong, graph, predictor, 0)
-    assert "without --cameras" not in str(refused.value)
+    assert "without --cameras" not in str(error.value)
 
 
-def test_wrong_poses(room):
+def test_exchanged_and_turned_poses_are_refused(room):
     a, b = (view.camera for view in room.context)
     with pytest.raises(InputError, match="the two poses are exchanged"):
         checked(posed(room, b, a))
@@ -122,21 +120,20 @@ def test_photographs_without_reliable_matches_are_not_judged(room, kind):
         image = np.full(view.image.shape, 128, np.uint8)
         if kind == "noise":
             image = rng.integers(0, 256, image.shape, np.uint8)
-        image[number, 0] = 255  # two photographs are never one picture
+        image[number, 0] = 255  # Identical images would be refused.
         views.append(replace(view, image=image, camera=room.context[1 - number].camera))
     (check,) = checked(replace(room, context=tuple(views)))
     assert not check.judged and not check.refuted
 
 
-def test_views_are_checked_with_those_that_see_the_same_things():
-    """The nearest of each is one that shares nothing with it."""
+def test_views_are_checked_with_those_they_overlap_rather_than_the_nearest():
     checks = checked(two_rows())
     assert [check.views for check in checks] == [("0", "2"), ("1", "3"), ("2", "4"), ("3", "5")]
     assert all(check.judged and check.coarse > 0.9 for check in checks)
 
 
-def test_poses_exchanged_over_a_long_way_are_refused():
-    """By their poses each stands among views that see nothing of what it sees."""
+def test_exchanged_poses_of_distant_views_are_refused():
+    """By its wrong pose, each view stands among views that do not overlap with it."""
     walk = views_of_wall([(float(k), 0.0) for k in range(10)])
     checked(walk)
     cameras = [view.camera for view in walk.context]
@@ -154,8 +151,7 @@ number = st.floats(-1, 1)
     st.floats(0.01, 1000),
     st.integers(0, 2**32 - 1),
 )
-def test_true_cameras_explain_every_match_whatever_the_world_and_its_scale(spin, shift, size, seed):
-    """Points seen by both, in a world that is turned, moved and scaled at will."""
+def test_true_cameras_explain_every_match_in_any_world_frame_and_scale(spin, shift, size, seed):
     rng = np.random.default_rng(seed)
     world = np.eye(4)
     world[:3, :3], world[:3, 3] = cv2.Rodrigues(spin * np.pi)[0], shift * size
@@ -172,7 +168,7 @@ def test_true_cameras_explain_every_match_whatever_the_world_and_its_scale(spin,
     a, b = cameras
     assert explained(a, b, at_a, at_b, 0.01).all() and explained(b, a, at_b, at_a, 0.01).all()
     assert agree(at_a, at_b, 0.1).all()
-    # Pushed off its epipolar line, a match is explained no longer; so is one behind a camera.
+    # Moved off its epipolar line, a match is no longer explained.
     on_line = [b.project(a.center + k * (moved[0] - a.center))[0] for k in (1, 2)]
     line = np.cross(*(np.append(pixel, 1) for pixel in on_line))
     away = at_b.copy()
@@ -180,7 +176,7 @@ def test_true_cameras_explain_every_match_whatever_the_world_and_its_scale(spin,
     assert not explained(a, b, at_a, away, 5)[0]
     swapped = replace(a, c2w=b.c2w), replace(b, c2w=a.c2w)
     rays = [(moved - c.center) / np.linalg.norm(moved - c.center, axis=1)[:, None] for c in cameras]
-    true = np.degrees(np.arccos(np.clip((rays[0] * rays[1]).sum(1), -1, 1)))
-    np.testing.assert_allclose(angles(a, b, at_a, at_b), true, atol=1e-5)
+    expected = np.degrees(np.arccos(np.clip((rays[0] * rays[1]).sum(1), -1, 1)))
+    np.testing.assert_allclose(angles(a, b, at_a, at_b), expected, atol=1e-5)
     # Of 6,000 seeds three explain 0.9 or more, at most 0.95.
     assert not explained(*swapped, at_a, at_b, COARSE_DISTANCE * 500).all()

@@ -1,4 +1,4 @@
-"""Relative poses from matches: exact ones are found, derivatives are right, doubt is said."""
+"""Relative poses and focal lengths from matches, their derivatives and uncertainty."""
 
 from dataclasses import replace
 
@@ -11,15 +11,15 @@ from scipy.spatial.transform import Rotation
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, jacobian, posterior, solve
 
 
-def two_views(seed: int, focals: tuple[float, float] = (800, 800)) -> TwoViews:
+def two_views(seed: int) -> TwoViews:
     rng = np.random.default_rng(seed)
     R = Rotation.from_rotvec(rng.normal(0, 0.12, 3)).as_matrix()
     t = rng.normal(0, 1, 3) * (1, 1, 0.5)
-    return TwoViews(R, t / np.linalg.norm(t), np.array(focals, float), np.zeros(0))
+    return TwoViews(R, t / np.linalg.norm(t), np.full(2, 800.0), np.zeros(0))
 
 
-def seen(views: TwoViews, count: int, seed: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
-    """Matches of points 4 to 12 baselines away."""
+def matches(views: TwoViews, count: int, seed: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Make matches of points 4 to 12 baselines away."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(4, 12, count)
     a = np.stack([*rng.uniform(-0.5, 0.5, (2, count)) * z, z], 1)
@@ -34,9 +34,9 @@ def prior(sigma: float, mean: float = 800, shared: bool = True) -> FocalPrior:
 
 @given(st.integers(0, 10**6), st.booleans())
 @settings(max_examples=20, deadline=None)
-def test_jacobian_is_that_of_the_distance(seed, shared):
+def test_jacobian_matches_central_differences_of_the_distance(seed, shared):
     views, lens = two_views(seed), prior(0.3, shared=shared)
-    x, y = seen(views, 12, seed, 2.0)
+    x, y = matches(views, 12, seed, 2.0)
     views = replace(views, moves=np.zeros(len(lens.directions)))
     columns = jacobian(views, x, y, lens).T
     for column, step in zip(columns, 1e-6 * np.eye(len(columns)), strict=True):
@@ -46,9 +46,9 @@ def test_jacobian_is_that_of_the_distance(seed, shared):
 
 @given(st.integers(0, 10**6))
 @settings(max_examples=10, deadline=None)
-def test_known_focal_lengths_and_a_third_of_outliers(seed):
+def test_pose_is_found_among_a_third_of_outliers(seed):
     views = two_views(seed)
-    x, y = seen(views, 300, seed, 0.2)
+    x, y = matches(views, 300, seed, 0.2)
     rng = np.random.default_rng(seed)
     y[::3] = rng.uniform(-480, 480, y[::3].shape)
     best = solve(x, y, prior(0.0))[0]
@@ -56,48 +56,46 @@ def test_known_focal_lengths_and_a_third_of_outliers(seed):
     assert (best.depths(x[1::3], y[1::3]) > 0).all(0).mean() > 0.98
 
 
+CONVERGING = Rotation.from_euler("yx", (-14, 5), degrees=True).as_matrix()
+
+
 @pytest.mark.parametrize("true", [500, 800, 1500])
 def test_focal_length_is_found_where_cameras_converge(true):
-    """One camera looks sideways at what the other faces."""
-    R = Rotation.from_euler("yx", (-14, 5), degrees=True).as_matrix()
     t = np.array([1.5, -0.4, 0.3])
-    views = TwoViews(R, t / np.linalg.norm(t), np.full(2, float(true)), np.zeros(0))
-    x, y = seen(views, 600, 1, 0.1)
+    views = TwoViews(CONVERGING, t / np.linalg.norm(t), np.full(2, float(true)), np.zeros(0))
+    x, y = matches(views, 600, 1, 0.1)
     best = solve(x, y, prior(0.3, 768))[0]
     assert best.focals[0] == pytest.approx(true, rel=0.06)
     assert best.turned_from(views) < 3
 
 
-def test_parallel_axes_leave_the_focal_length_open():
-    """Where it cannot be told, its deviation stays what was known before."""
+def test_focal_length_of_parallel_axes_keeps_the_deviation_of_its_prior():
     views = TwoViews(np.eye(3), np.array([1.0, 0, 0]), np.full(2, 700.0), np.zeros(0))
-    x, y = seen(views, 500, 2, 0.2)
+    x, y = matches(views, 500, 2, 0.2)
     best = solve(x, y, prior(0.3, 768))[0]
     assert best.focals[0] == pytest.approx(768, rel=0.05)
     assert 0.9 < np.sqrt(best.covariance[5, 5]) < 1.001
     assert abs(best.t[0]) > 0.999
 
 
-def test_many_starts_that_end_alike_leave_room_for_the_other_answer_of_a_plane():
-    """Two poses explain a plane; of eleven focal lengths tried, more end at the first than fit."""
-    R = Rotation.from_euler("yx", (-14, 5), degrees=True).as_matrix()
+def test_both_poses_that_explain_a_plane_are_returned():
+    """More of the eleven starts end at the first pose than solutions are kept."""
     t = np.array([1.0, 0.3, 0.2]) / np.linalg.norm([1.0, 0.3, 0.2])
-    views = TwoViews(R, t, np.full(2, 800.0), np.zeros(0))
+    views = TwoViews(CONVERGING, t, np.full(2, 800.0), np.zeros(0))
     rng = np.random.default_rng(1)
     rays = np.column_stack([rng.uniform(-0.5, 0.5, (300, 2)), np.ones(300)])
     a = rays * 6 / (rays @ [0.3, 0.2, 1.0])[:, None]
-    b = a @ R.T + t
+    b = a @ CONVERGING.T + t
     x, y = (800 * p[:, :2] / p[:, 2:] + rng.normal(0, 0.3, (300, 2)) for p in (a, b))
-    best, *others = solve(x, y, prior(0.3))
+    best, *alternatives = solve(x, y, prior(0.3))
     assert best.turned_from(views) < 2
-    assert others and min(other.turned_from(best) for other in others) > 3
+    assert alternatives and min(pose.turned_from(best) for pose in alternatives) > 3
 
 
-def test_points_behind_the_cameras_count_as_lost():
-    """Reversed, the translation has the same epipolar lines."""
+def test_reversed_translation_is_improbable_as_points_lie_behind_the_cameras():
+    """The distances to epipolar lines are the same."""
     views = two_views(9)
-    x, y = seen(views, 100, 9, 0.1)
-    reversed_ = replace(views, t=-views.t)
-    np.testing.assert_allclose(reversed_.distance(x, y), -views.distance(x, y))
-    right, wrong = (posterior(v, x, y, 0.5) for v in (views, reversed_))
-    assert wrong > 50 * right
+    x, y = matches(views, 100, 9, 0.1)
+    mirrored = replace(views, t=-views.t)
+    np.testing.assert_allclose(mirrored.distance(x, y), -views.distance(x, y))
+    assert posterior(mirrored, x, y, 0.5) > 50 * posterior(views, x, y, 0.5)

@@ -1,4 +1,4 @@
-"""The graph of matches: as plain matching finds it, and the same after it was stored."""
+"""The graph of matches against plain matching, and after a round trip through the store."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from slgaussian.storage.store import ArtifactStore
 from tests.matching import sift_matches
 
 
-def test_the_graph_holds_the_matches_of_pairs_and_is_stored_as_it_is(tmp_path):
+def test_graph_equals_plain_matching_and_survives_a_round_trip(tmp_path):
     scene = datasets.load("procedural", seed=0, objects=4, views=4, height=90, width=120)
     views = scene.sample(list(scene.cameras)).context
     graph = MatchGraph.of(views)
@@ -18,9 +18,9 @@ def test_the_graph_holds_the_matches_of_pairs_and_is_stored_as_it_is(tmp_path):
         np.testing.assert_array_equal(graph.points(i, j), expected)
         assert len(first) == len(second)
     store = ArtifactStore(tmp_path)
-    again = MatchGraph.from_arrays(store.get(store.put("matches", graph.to_arrays())))
-    assert list(again.matches) == list(graph.matches)
+    restored = MatchGraph.from_arrays(store.get(store.put("matches", graph.to_arrays())))
+    assert list(restored.matches) == list(graph.matches)
     for pair in graph.matches:
-        np.testing.assert_array_equal(again.points(*pair), graph.points(*pair))
+        np.testing.assert_array_equal(restored.points(*pair), graph.points(*pair))
     empty = MatchGraph.of(views[:1])
     assert MatchGraph.from_arrays(empty.to_arrays()).matches == {}

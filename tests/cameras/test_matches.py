@@ -1,4 +1,4 @@
-"""Matches by blocks are those of the whole table, and sharpened ones lie where they should."""
+"""Blockwise matching against a plain one, and subpixel refinement against known shifts."""
 
 import cv2
 import numpy as np
@@ -9,7 +9,7 @@ from slgaussian.cameras.subpixel import sharpen
 
 
 def plain_match(a: Features, b: Features, ratio: float) -> set[tuple[int, int]]:
-    """Lowe's ratio test and mutual nearest neighbours, all distances at once in float64."""
+    """Match mutual nearest neighbours by Lowe's ratio test, on all distances in float64."""
     x, y = a.descriptors.astype(np.float64), b.descriptors.astype(np.float64)
     distance = np.sqrt((2 - 2 * x @ y.T).clip(0))
     best = distance.argmin(1)
@@ -21,7 +21,7 @@ def plain_match(a: Features, b: Features, ratio: float) -> set[tuple[int, int]]:
     }
 
 
-def test_blocks_match_as_the_whole_table_does():
+def test_blockwise_matches_equal_plain_ones():
     left, right, _ = skimage.data.stereo_motorcycle()
     a, b = (find_features(cv2.cvtColor(i, cv2.COLOR_RGB2GRAY), 700, 0.02) for i in (left, right))
     i, j, ratios = match(a, b, 0.85)
@@ -29,14 +29,13 @@ def test_blocks_match_as_the_whole_table_does():
     assert (ratios < 0.85).all() and len(i) > 100
 
 
-def test_no_features_no_matches():
+def test_blank_image_has_no_features_and_no_matches():
     blank = find_features(np.zeros((40, 40), np.uint8), 100, 0.02)
     assert len(blank) == 0
     assert all(len(part) == 0 for part in match(blank, blank, 0.85))
 
 
-def test_sharpened_matches_are_nearer_the_truth():
-    """The second image is the first one turned, enlarged, moved by parts of a pixel and darker."""
+def test_refinement_halves_the_error_of_a_warped_and_darkened_image():
     grey = cv2.cvtColor(skimage.data.chelsea(), cv2.COLOR_RGB2GRAY)
     turn = cv2.getRotationMatrix2D((225, 150), 11, 1.17)
     turn[:, 2] += (0.37, -0.21)
@@ -59,28 +58,26 @@ def texture(seed: int, coarse: float) -> np.ndarray:
     return np.clip(128 + 40 * smooth / smooth.std(), 0, 255).astype(np.uint8)
 
 
-def at_places(shift: float = 0.0) -> Features:
+def grid_features(shift: float = 0.0) -> Features:
     grid = np.stack(np.meshgrid(np.arange(30, 131, 10.0), np.arange(30, 131, 10.0)), -1)
     points = grid.reshape(-1, 2) + (shift, 0)
+    count = len(points)
     return Features(
-        points,
-        np.zeros((len(points), 128), np.float32),
-        *np.stack([0 * points[:, 0] + 2, 0 * points[:, 0]]),
+        points, np.zeros((count, 128), np.float32), np.full(count, 2.0), np.zeros(count)
     )
 
 
-def test_unlike_patches_are_not_laid_on_each_other():
-    every = at_places()
-    i = np.arange(len(every))
-    found = sharpen((texture(0, 1.5), texture(1, 1.5)), every, every, i, i)
-    assert (found == every.points).all(1).mean() > 0.7
+def test_features_of_different_textures_stay():
+    features = grid_features()
+    i = np.arange(len(features))
+    refined = sharpen((texture(0, 1.5), texture(1, 1.5)), features, features, i, i)
+    assert (refined == features.points).all(1).mean() > 0.7
 
 
-def test_a_feature_does_not_go_far():
-    """Of a picture that moved by four pixels, and features that did not."""
-    picture, every = texture(0, 4.0), at_places()
-    i = np.arange(len(every))
-    found = sharpen((picture, np.roll(picture, 4, 1)), every, every, i, i)
-    near = sharpen((picture, np.roll(picture, 4, 1)), every, at_places(3.0), i, i)
-    assert np.linalg.norm(found - every.points, axis=1).max() < 3
-    assert np.median(np.linalg.norm(near - every.points - (4, 0), axis=1)) < 0.2
+def test_refinement_follows_a_shift_of_one_pixel_but_not_of_four():
+    picture, features = texture(0, 4.0), grid_features()
+    images, i = (picture, np.roll(picture, 4, 1)), np.arange(len(features))
+    far = sharpen(images, features, features, i, i)
+    near = sharpen(images, features, grid_features(3.0), i, i)
+    assert np.linalg.norm(far - features.points, axis=1).max() < 3
+    assert np.median(np.linalg.norm(near - features.points - (4, 0), axis=1)) < 0.2

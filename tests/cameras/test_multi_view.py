@@ -1,99 +1,101 @@
-"""Cameras of three and more photographs of a made-up room."""
+"""Estimation of cameras of three and more photographs of a procedural room."""
 
 from dataclasses import replace
+from functools import cache
+from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
-from slgaussian.cameras.estimated import UNUSED
+from slgaussian.cameras.estimated import UNUSED, EstimatedCameras
 from slgaussian.cameras.find import find_cameras, find_multi_view, worth_solving
 from slgaussian.cameras.two_view import Described, Photograph, find_pair
 from slgaussian.errors import InputError
 
 
+@cache
 def room(seed: int) -> tuple[list[Photograph], list[np.ndarray]]:
-    """Three photographs side by side, and true world-to-camera matrices."""
+    """Make three photographs side by side, and their true world-to-camera matrices."""
     scene = datasets.load("procedural", seed=seed, height=300, width=400)
     views = [scene.read(name) for name in list(scene.cameras)[:3]]
-    taken = [Photograph(view.name, view.image, 1200, 900) for view in views]
-    return taken, [view.camera.w2c for view in views]
+    photographs = [Photograph(view.name, view.image, 1200, 900) for view in views]
+    return photographs, [view.camera.w2c for view in views]
 
 
 @pytest.fixture(scope="module")
-def photographs() -> tuple[list[Photograph], list[np.ndarray]]:
-    return room(0)
+def photographs() -> list[Photograph]:
+    return room(0)[0]
 
 
 @pytest.fixture(scope="module")
-def found(photographs):
-    return find_cameras(photographs[0])
+def estimated(photographs) -> EstimatedCameras:
+    return find_cameras(photographs)
 
 
-def degrees_off(cameras, true) -> float:
-    """Of the worst rotation or direction of all pairs."""
+def angular_error(cameras, true) -> float:
+    """Return the largest error of rotation or direction over all pairs, degrees."""
     worst = 0.0
-    for i in range(len(true)):
-        for j in range(i):
-            ours, known = cameras[i].w2c @ cameras[j].c2w, true[i] @ np.linalg.inv(true[j])
-            turn = Rotation.from_matrix(ours[:3, :3] @ known[:3, :3].T).magnitude()
-            a, b = ours[:3, 3], known[:3, 3]
-            way = np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
-            worst = max(worst, turn, way)
+    for j, i in combinations(range(len(true)), 2):
+        actual, expected = cameras[i].w2c @ cameras[j].c2w, true[i] @ np.linalg.inv(true[j])
+        rotation = Rotation.from_matrix(actual[:3, :3] @ expected[:3, :3].T).magnitude()
+        a, b = actual[:3, 3], expected[:3, 3]
+        direction = np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
+        worst = max(worst, rotation, direction)
     return float(np.degrees(worst))
 
 
-def test_three_views_in_the_world_of_the_first(photographs, found):
-    taken, true = photographs
-    cameras = [found.cameras[p.name] for p in taken]
-    assert degrees_off(cameras, true) < 4
+def test_three_views_are_placed_in_the_frame_of_the_first(photographs, estimated):
+    cameras = [estimated.cameras[p.name] for p in photographs]
+    assert angular_error(cameras, room(0)[1]) < 4
     np.testing.assert_allclose(cameras[0].c2w, np.eye(4), atol=1e-12)
     assert np.linalg.norm(cameras[1].center) == pytest.approx(1)
-    focal = found.focals[taken[0].name]
+    focal = estimated.focals[photographs[0].name]
     assert focal.low < 1080 < focal.high  # 360 px at a third of the size
-    assert focal.pixels == found.cameras[taken[2].name].K[0, 0]
-    assert found.confidence > 0.9
-    assert not found.warnings
+    assert focal.pixels == cameras[2].K[0, 0]
+    assert estimated.confidence > 0.9
+    assert not estimated.warnings
 
 
-def test_the_order_changes_only_the_frame(photographs, found):
-    taken, _ = photographs
-    again = find_cameras([taken[k] for k in (2, 0, 1)])
-    cameras = [again.cameras[p.name] for p in taken]
-    known = [found.cameras[p.name].w2c for p in taken]
-    assert list(again.cameras) == [taken[k].name for k in (2, 0, 1)]
-    assert degrees_off(cameras, known) < 1e-4
+def test_order_changes_only_the_frame(photographs, estimated):
+    permuted = [photographs[k] for k in (2, 0, 1)]
+    result = find_cameras(permuted)
+    cameras = [result.cameras[p.name] for p in photographs]
+    expected = [estimated.cameras[p.name].w2c for p in photographs]
+    assert list(result.cameras) == [p.name for p in permuted]
+    assert angular_error(cameras, expected) < 1e-4
     np.testing.assert_allclose(cameras[2].c2w, np.eye(4), atol=1e-12)
-    assert again.focals[taken[0].name] == found.focals[taken[0].name]
+    name = photographs[0].name
+    assert result.focals[name] == estimated.focals[name]
 
 
-def test_one_of_another_room_is_left_out_as_if_not_given(photographs, found):
-    """It holds a thing of the same pattern."""
-    taken, why = photographs[0], "too little"
-    other = replace(room(5)[0][0], name="elsewhere.jpg")
-    some = find_cameras([taken[0], other, *taken[1:]])
-    assert list(some.cameras) == [p.name for p in taken]
-    for name, camera in found.cameras.items():
-        assert some.cameras[name].c2w.tobytes() == camera.c2w.tobytes()
-    assert some.focals == found.focals and some.confidence == found.confidence
-    assert list(some.left_out) == ["elsewhere.jpg"] and why in some.left_out["elsewhere.jpg"]
-    (warning,) = some.warnings
-    assert warning.startswith("elsewhere.jpg is left out: ") and why in warning
-    assert "cameras found of 3 of 4 photographs" in some.summary()
-    assert some.as_json()["left_out"] == some.left_out
+def test_photograph_of_another_room_is_left_out_and_changes_no_byte(photographs, estimated):
+    """It shows an object of the same pattern."""
+    stranger, reason = replace(room(5)[0][0], name="elsewhere.jpg"), "too little"
+    result = find_cameras([photographs[0], stranger, *photographs[1:]])
+    assert list(result.cameras) == [p.name for p in photographs]
+    for name, camera in estimated.cameras.items():
+        assert result.cameras[name].c2w.tobytes() == camera.c2w.tobytes()
+    assert result.focals == estimated.focals and result.confidence == estimated.confidence
+    assert list(result.left_out) == ["elsewhere.jpg"]
+    assert reason in result.left_out["elsewhere.jpg"]
+    (warning,) = result.warnings
+    assert warning.startswith("elsewhere.jpg is left out: ") and reason in warning
+    assert "cameras found of 3 of 4 photographs" in result.summary()
+    assert result.as_json()["left_out"] == result.left_out
 
 
-def test_the_first_two_may_not_be_one(photographs):
-    (first, second, _), _ = photographs
+def test_first_two_photographs_of_one_place_are_refused(photographs):
+    first, second, _ = photographs
     image = first.image.copy()
     image[0, 0] ^= 1
     with pytest.raises(InputError, match=r"twin.jpg'.*one place"):
         find_cameras([first, replace(first, image=image, name="twin.jpg"), second])
 
 
-def test_many_photographs_are_not_all_solved_with_all():
-    """A strip cut into overlapping windows: each is solved with those that overlap it."""
+def test_only_overlapping_photographs_are_solved_in_pairs():
+    """The photographs are overlapping windows of a strip."""
     texture = np.random.default_rng(0).integers(0, 255, (60, 400, 3), dtype=np.uint8)
     strip = np.kron(texture, np.ones((4, 4, 1), np.uint8))
     windows = [Photograph(str(k), strip[:, 110 * k : 110 * k + 300], 300, 240) for k in range(7)]
@@ -102,16 +104,17 @@ def test_many_photographs_are_not_all_solved_with_all():
     assert len(pairs) < 21
 
 
-def test_a_pair_that_the_others_contradict_is_not_used(photographs):
-    def wrong_once(a, b):
+def test_pair_contradicted_by_the_others_is_unused(photographs):
+    wrong_pair = {"view_00", "view_02"}
+
+    def find_with_error(a, b):
         pose = find_pair(a, b)
-        if {a.photograph.name, b.photograph.name} != {"view_00", "view_02"}:
+        if {a.photograph.name, b.photograph.name} != wrong_pair:
             return pose
         turn = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
         return replace(pose, views=replace(pose.views, R=turn @ pose.views.R))
 
-    result = find_multi_view([Described.of(item) for item in photographs[0]], wrong_once)
-    (wrong,) = (pair for pair in result.pairs if set(pair.views) == {"view_00", "view_02"})
+    result = find_multi_view([Described.of(p) for p in photographs], find_with_error)
+    (wrong,) = (pair for pair in result.pairs if set(pair.views) == wrong_pair)
     assert wrong.verdict == UNUSED and "contradict" in wrong.said
-    cameras = [result.cameras[item.name] for item in photographs[0]]
-    assert degrees_off(cameras, photographs[1]) < 4
+    assert angular_error([result.cameras[p.name] for p in photographs], room(0)[1]) < 4

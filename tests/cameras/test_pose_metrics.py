@@ -1,4 +1,4 @@
-"""The measures that found cameras are judged by."""
+"""Metrics of estimated poses: angular errors and the area under the recall curve."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from benches.cameras.pose_metrics import area_under_curve, direction_error, rotation_error
 
 
-def test_angles_are_those_that_were_turned():
+def test_errors_equal_the_known_angles():
     turn = Rotation.from_rotvec(np.radians([0, 7, 0])).as_matrix()
     assert rotation_error(turn, np.eye(3)) == pytest.approx(7)
     rounded = turn * (1 + 1e-4)
@@ -17,10 +17,10 @@ def test_angles_are_those_that_were_turned():
     assert direction_error(np.array([0, 0, -1.0]), np.array([0, 0, 1.0])) == pytest.approx(180)
 
 
-def test_area_is_the_mean_recall_over_bounds():
-    # The share of pairs below a bound, linear between errors, as SuperGlue and LightGlue draw it.
+def test_area_is_the_mean_recall_up_to_a_threshold():
+    # Recall is linear between errors, as in SuperGlue and LightGlue.
     assert area_under_curve([0.0, 0.0], [5.0]) == pytest.approx([100])
     assert area_under_curve([np.inf, 30.0], [5.0, 20.0]) == pytest.approx([0, 0])
     assert area_under_curve([0.0, np.inf], [5.0]) == pytest.approx([50])
-    # Recall rises from 0 to one half at 2, then stays.
+    # Recall rises from 0 to one half at 2, then stays constant.
     assert area_under_curve([2.0, np.inf], [4.0]) == pytest.approx([100 * (0.5 + 1.0) / 4])

@@ -1,4 +1,4 @@
-"""Every bound of a pair refuses or doubts by itself: each is moved, one at a time."""
+"""Bounds on a pair of photographs: each one, moved alone, causes its own refusal or doubt."""
 
 import hard_photographs
 import pytest
@@ -22,19 +22,17 @@ CASES = [
 
 
 @pytest.fixture(scope="module")
-def described() -> list[Described]:
-    return [Described.of(photograph) for photograph in hard_photographs.bikes()]
-
-
-@pytest.fixture(scope="module")
-def inliers(described) -> int:
+def good_pair() -> tuple[list[Described], int]:
+    """Return a pair of the verdict ``GOOD``, and the number of its inliers."""
+    described = [Described.of(photograph) for photograph in hard_photographs.motorcycle_pair()]
     good = find_pair(*described).estimate
     assert good.verdict == GOOD
-    return good.inliers
+    return described, good.inliers
 
 
 @pytest.mark.parametrize(("verdict", "bounds", "reason"), CASES)
-def test_a_bound(verdict, bounds, reason, described, inliers, monkeypatch):
+def test_moved_bound_causes_its_verdict(verdict, bounds, reason, good_pair, monkeypatch):
+    described, inliers = good_pair
     for name, value in bounds.items():
         monkeypatch.setattr(two_view, name, inliers - 1 if value is None else value)
     pose = find_pair(*described)

@@ -1,4 +1,4 @@
-"""Photographs square to a wall of noise, every pixel and depth known."""
+"""Photographs square to a wall of noise, with exact pixels and depths."""
 
 from collections.abc import Sequence
 
@@ -8,19 +8,19 @@ import numpy as np
 from slgaussian.scene import Camera, Sample, View
 
 FAR = 8.0
-"""Depth of the wall, of which a view shows 3 by 1."""
+"""Depth of the wall, of which a view shows 3 units by 1."""
 
 HEIGHT, WIDTH, FOCAL = 80, 240, 640.0
 
 
-def views_of_wall(places: Sequence[tuple[float, float]]) -> Sample:
-    """Low, wide views from places (x, y), so that what any two share is told by their places."""
+def views_of_wall(positions: Sequence[tuple[float, float]]) -> Sample:
+    """Make low, wide views from positions (x, y), which alone determine their overlap."""
     noise = np.random.default_rng(0).uniform(0, 255, (240, 2400, 3))
     wall = cv2.GaussianBlur(noise, (0, 0), 1.5)
     wall = ((wall - wall.mean()) * 4 + 128).clip(0, 255).astype(np.uint8)
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     views = []
-    for number, (x, y) in enumerate(places):
+    for number, (x, y) in enumerate(positions):
         pose = np.eye(4)
         pose[:2, 3] = x, y
         left, top = (round(step * FOCAL / FAR) for step in (x, y))
@@ -30,8 +30,8 @@ def views_of_wall(places: Sequence[tuple[float, float]]) -> Sample:
 
 
 def two_rows() -> Sample:
-    """Six views in two rows; the nearest of each is in the other row, and shares nothing with it.
+    """Make six views in two rows: neighbours in a row overlap by half.
 
-    Those of a row share half with the next.
+    The nearest view to each is in the other row, and does not overlap with it.
     """
     return views_of_wall([(1.5 * (k // 2), 1.05 * (k % 2)) for k in range(6)])

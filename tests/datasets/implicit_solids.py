@@ -1,12 +1,13 @@
-"""Solids as implicit functions, negative inside: the plain formulas that ray casting must obey."""
+"""Solids as implicit functions, negative inside: the reference of ray casting."""
 
 import numpy as np
+from scipy.optimize import brentq
 
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, Solid
 
 
-def inside_below_zero(solid: Solid, points: np.ndarray) -> np.ndarray:
-    """Implicit function [...] of world points [..., 3]; its zero set is the solid's surface."""
+def implicit_value(solid: Solid, points: np.ndarray) -> np.ndarray:
+    """Return implicit values [...] of world points [..., 3], zero on the surface."""
     p = (points - np.asarray(solid.centre)) @ solid.rotation
     size = solid.size
     rho = np.hypot(p[..., 0], p[..., 1])
@@ -23,17 +24,11 @@ def inside_below_zero(solid: Solid, points: np.ndarray) -> np.ndarray:
 
 
 def first_crossing(solid: Solid, origin: np.ndarray, ray: np.ndarray, far: float) -> float:
-    """First t in (0, far) at which a ray enters the solid, by dense sampling and bisection."""
+    """Return the first t in (0, far) on the surface, by dense sampling and root finding."""
     t = np.linspace(0, far, 4001)
-    values = inside_below_zero(solid, origin + t[:, None] * ray)
+    values = implicit_value(solid, origin + t[:, None] * ray)
     hits = np.flatnonzero(values < 0)
     if not len(hits):
         return np.inf
-    lo, hi = t[hits[0] - 1], t[hits[0]]
-    for _ in range(60):
-        middle = (lo + hi) / 2
-        if inside_below_zero(solid, origin + middle * ray) < 0:
-            hi = middle
-        else:
-            lo = middle
-    return hi
+    before, after = t[hits[0] - 1 : hits[0] + 1]
+    return brentq(lambda t: implicit_value(solid, origin + t * ray), before, after, xtol=1e-15)

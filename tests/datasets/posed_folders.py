@@ -1,4 +1,4 @@
-"""COLMAP models written by pycolmap itself and LLFF poses, for tests of formats that hold them."""
+"""Photographs, COLMAP models written by pycolmap, and rows of LLFF poses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PINHOLE = ("PINHOLE", (80.0, 82.0, 47.3, 33.1))
 
 @dataclass(frozen=True)
 class Shot:
-    """An image of the model: id, camera, where it was taken from, turned about y in degrees."""
+    """An image of a model: its id, camera id, position and rotation about y in degrees."""
 
     number: int
     camera: int = 1
@@ -49,7 +49,7 @@ def write_model(
     text: bool = False,
     size: tuple[int, int] = (WIDTH, HEIGHT),
 ):
-    """Write a reconstruction in which every image sees every point; returns it."""
+    """Write and return a reconstruction in which every image sees every point."""
     pycolmap = pytest.importorskip("pycolmap")
     model = pycolmap.Reconstruction()
     for number, (name, params) in (cameras or {1: PINHOLE}).items():
@@ -75,11 +75,9 @@ def write_model(
 
 
 def llff_row(
-    place=(0.0, 0.0, 0.0), turn=0.0, size=(HEIGHT, WIDTH), near=2.0, far=9.0, focal=FOCAL
+    place=(0.0, 0.0, 0.0), size=(HEIGHT, WIDTH), near=2.0, far=9.0, focal=FOCAL
 ) -> list[float]:
-    """A row of poses_bounds for a camera turned about y, its axes written out by hand."""
-    a = np.radians(turn)
-    right, down = np.array([np.cos(a), 0, -np.sin(a)]), np.array([0.0, 1, 0])
-    forward = np.cross(right, down)
+    """Return a row of poses_bounds for a camera that looks along z."""
+    right, down, forward = np.eye(3)
     matrix = np.column_stack([down, right, -forward, place, (*size, focal)])
     return [*matrix.ravel(), near, far]

@@ -1,4 +1,4 @@
-"""Photographs as telephones and cameras write them: EXIF and orientations."""
+"""Photographs as phones and cameras store them: orientation and EXIF tags."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ import numpy as np
 import skimage.data
 from PIL import ExifTags, Image
 
-UNTURN = {
+TO_STORED = {
     3: Image.Transpose.ROTATE_180,
     6: Image.Transpose.ROTATE_90,
     8: Image.Transpose.ROTATE_270,
 }
-"""What makes stored pixels of upright ones, by the orientation that undoes it."""
+"""By EXIF orientation: the transposition from upright to stored pixels."""
 
 
-def taken(
+def write_photograph(
     file: Path,
     pixels: np.ndarray,
     orientation: int | None = None,
     base: Mapping[int, Any] | None = None,
-    own: Mapping[int, Any] | None = None,
+    exif: Mapping[int, Any] | None = None,
 ) -> Path:
-    """Write upright ``pixels``, stored turned and with tags: ``base`` ones, and EXIF's ``own``."""
+    """Write upright ``pixels`` as stored with an orientation, with tags of the two directories."""
     image = Image.fromarray(pixels)
-    if orientation in UNTURN:
-        image = image.transpose(UNTURN[orientation])
-    exif = Image.Exif()
-    exif.update(base or {})
+    if orientation in TO_STORED:
+        image = image.transpose(TO_STORED[orientation])
+    tags = Image.Exif()
+    tags.update(base or {})
     if orientation is not None:
-        exif[ExifTags.Base.Orientation] = orientation
-    exif.get_ifd(ExifTags.IFD.Exif).update(own or {})
-    image.save(file, exif=exif, **({"quality": 95} if file.suffix == ".jpg" else {}))
+        tags[ExifTags.Base.Orientation] = orientation
+    tags.get_ifd(ExifTags.IFD.Exif).update(exif or {})
+    image.save(file, exif=tags, **({"quality": 95} if file.suffix == ".jpg" else {}))
     return file
 
 

@@ -1,4 +1,4 @@
-"""Which context views are added around two: between them first, never a target, nor beside one."""
+"""Choice of context views around two: between them first, apart from targets and each other."""
 
 import numpy as np
 from hypothesis import given
@@ -18,26 +18,28 @@ from slgaussian.scene import Camera, Scene, View
 K = np.array([[20.0, 0, 12], [0, 20, 8], [0, 0, 1]])
 
 
-def camera(x, y=0.0, turned=0.0):
+def camera(x, turned=0.0):
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("y", turned, degrees=True).as_matrix()
-    pose[:3, 3] = x, y, 0
+    pose[0, 3] = x
     return Camera(K, pose, 24, 16)
 
 
-def walk(places, unreadable=()):
-    """Views along a line, each called by its place."""
-    cameras = {f"{x:g}": camera(x) for x in places}
-
+def scene_of(cameras, unreadable=()):
     def read(name):
         if name in unreadable:
             raise InputError(f"{name}: cannot be read")
         return View(name, cameras[name], np.zeros((16, 24, 3), np.uint8))
 
-    return Scene("walk", cameras, read)
+    return Scene("scene", cameras, read)
 
 
-def test_gaps_are_halved_and_targets_their_neighbours_and_the_unreadable_are_never_taken():
+def walk(places, unreadable=()):
+    """Make a scene of views along a line, named by their x."""
+    return scene_of({f"{x:g}": camera(x) for x in places}, unreadable)
+
+
+def test_gaps_are_halved_without_targets_neighbours_of_targets_and_unreadable_views():
     scene = walk(range(101))
     assert context_of(scene, ["20", "60"], ["30"], 3) == ("20", "60", "40")
     assert context_of(scene, ["20", "60"], [], 5)[3:] == ("30", "50")
@@ -48,12 +50,11 @@ def test_gaps_are_halved_and_targets_their_neighbours_and_the_unreadable_are_nev
     assert third in ("39", "41")
 
 
-def test_views_that_look_elsewhere_are_not_taken():
-    cameras = {"a": camera(0), "b": camera(1), "away": camera(0.5, turned=MAX_AXIS_ANGLE + 1)}
-    cameras |= {"aside": camera(0.4, turned=MAX_AXIS_ANGLE - 1)}
-    blank = np.zeros((16, 24, 3), np.uint8)
-    scene = Scene("turning", cameras, lambda name: View(name, cameras[name], blank))
-    assert context_of(scene, ["a", "b"], [], 3)[2] == "aside"
+def test_views_turned_beyond_the_limit_are_not_chosen():
+    cameras = {"a": camera(0), "b": camera(1)}
+    cameras["beyond"] = camera(0.5, turned=MAX_AXIS_ANGLE + 1)
+    cameras["within"] = camera(0.4, turned=MAX_AXIS_ANGLE - 1)
+    assert context_of(scene_of(cameras), ["a", "b"], [], 3)[2] == "within"
 
 
 @given(
@@ -61,19 +62,19 @@ def test_views_that_look_elsewhere_are_not_taken():
     st.integers(3, 8),
     st.randoms(use_true_random=False),
 )
-def test_a_smaller_number_is_part_of_a_larger_one_and_all_are_apart(places, count, random):
+def test_smaller_counts_choose_a_prefix_and_views_stay_apart(places, count, random):
     first, last, target = random.sample(places, 3)
     scene = walk(places)
-    given_views = [str(first), str(last)], [str(target)]
+    arguments = scene, [str(first), str(last)], [str(target)]
     try:
-        chosen = context_of(scene, *given_views, count)
+        chosen = context_of(*arguments, count)
     except InputError:
         return
-    assert context_of(scene, *given_views, count - 1) == chosen[:-1]
+    assert context_of(*arguments, count - 1) == chosen[:-1]
     assert len(set(chosen)) == count and str(target) not in chosen
     unit = abs(first - last)
     for k, name in enumerate(chosen[2:], 2):
-        gap = min(abs(int(name) - int(other)) for other in chosen[:k])
+        gap = min(abs(int(name) - int(earlier)) for earlier in chosen[:k])
         between = min(first, last) <= int(name) <= max(first, last)
         assert gap / unit >= (MIN_INNER_DISTANCE if between else MIN_OUTER_DISTANCE) - 1e-6
         assert abs(int(name) - target) / unit >= MIN_TARGET_DISTANCE - 1e-6

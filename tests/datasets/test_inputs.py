@@ -1,4 +1,4 @@
-"""A cached result is what an empty store gives, whatever happened to the data since."""
+"""Cached results of changed data: a resumed run returns what an empty store would."""
 
 import gc
 import io
@@ -7,6 +7,7 @@ import os
 import pickle
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from PIL import Image
 from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_model
 from prefect.states import State
-from test_unposed import made_up
+from test_unposed import side_by_side
 
 from slgaussian import datasets
 from slgaussian.datasets import re10k, unposed
@@ -25,21 +26,21 @@ from tasks.context import RunContext, run_context
 from tasks.scene import Labels, Photographs, ingest, truth
 
 NAMES = ("view_10.png", "view_2.png", "view_30.png", "view_4.png")
-"""By name; by number the first comes third."""
+"""Sorted by name; in numeric order the first is the third."""
 
-ASKED = ("view_2", "view_4")
+REQUESTED = ("view_2", "view_4")
 XS, ORDER = [0, 0.1, 0.2, 0.3], [0, 1, 2, 3]
 OPTIONS = {"re10k": {"key": "one"}}
 
 
 def save(file: Path, seed: int, width: int = WIDTH, height: int = HEIGHT) -> None:
-    """Write a photograph, as PNG in as many bytes as any other of its size."""
+    """Write a photograph as an uncompressed PNG: all of one size have as many bytes."""
     file.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(picture(seed, width, height)).save(file, compress_level=0)
 
 
 def edit_in_place(file: Path, edit) -> None:
-    """Change a file but neither its size nor its time."""
+    """Change a file's content, not its size and modification time."""
     before = file.stat()
     edit()
     os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
@@ -56,7 +57,7 @@ def write_nerfstudio(root, xs=XS, order=ORDER, **keys):
         stem = Path(NAMES[number]).stem
         frame = {"file_path": f"images/{stem}", "depth_file_path": f"{stem}.npy"}
         frames.append({**frame, "transform_matrix": pose.tolist()})
-    # Neither w nor h: they are those of the first photograph that is there.
+    # Without w and h, whose default is the size of the first photograph on disk.
     (root / "transforms.json").write_text(json.dumps({"fl_x": FOCAL, "frames": frames, **keys}))
 
 
@@ -69,11 +70,11 @@ def write_llff(root, xs=XS, order=ORDER):
     np.save(root / "poses_bounds.npy", [llff_row((xs[number], 0, 0)) for number in order])
 
 
-def write_re10k(root, one=(1, 0.1), two=(2, 0.1)):
-    """Two clips, each of a seed and a step between cameras; None leaves it out."""
+def write_re10k(root, first=(1, 0.1), second=(2, 0.1)):
+    """Write two clips, each of a seed and a step between cameras; None leaves out the second."""
     shutil.rmtree(root, ignore_errors=True)
     clips = []
-    for key, (seed, step) in {"one": one, "two": two or (0, 0)}.items():
+    for key, (seed, step) in {"one": first, "two": second or (0, 0)}.items():
         images = []
         for number in range(4):
             stream = io.BytesIO()
@@ -83,137 +84,132 @@ def write_re10k(root, one=(1, 0.1), two=(2, 0.1)):
         rows[:] = (0.8, 1.2, 0.5, 0.5, 0, 0, *np.eye(4)[:3].ravel())
         rows[:, 9] = -step * np.arange(4)
         clips.append(re10k.Clip(key, "", np.arange(4), rows, tuple(images)))
-    re10k.write(root, clips if two else clips[:1])
+    re10k.write(root, clips if second else clips[:1])
 
 
-CAMERAS = {
+CAMERA_WRITERS = {
     "nerfstudio": write_nerfstudio,
     "colmap": write_colmap,
     "llff": write_llff,
     "photographs": lambda root: None,
     "re10k": write_re10k,
 }
-"""Writes the cameras of a format: the x of the four photographs, in the order of these numbers."""
+"""By format: takes x of the four cameras, and the order in which to write them."""
 
 
 def write(format: str, root: Path) -> Path:
     if format != "re10k":
         for number, name in enumerate(NAMES):
             save(root / "images" / name, number)
-    CAMERAS[format](root)
+    CAMERA_WRITERS[format](root)
     return root
 
 
 def changes(format: str, root: Path) -> dict:
-    """All that may happen to the data, by what it is."""
+    """Return functions that change the data, by a description."""
     if format == "re10k":
         return {
-            "a photograph is edited": lambda: write_re10k(root, one=(3, 0.1)),
-            "a camera is moved": lambda: write_re10k(root, one=(1, 0.2)),
-            "another clip is edited": lambda: write_re10k(root, two=(3, 0.1)),
-            "another clip is removed": lambda: write_re10k(root, two=None),
-            "the chunk is cut short": lambda: os.truncate(root / "000000.torch", 2000),
+            "requested photograph edited": lambda: write_re10k(root, first=(3, 0.1)),
+            "requested camera moved": lambda: write_re10k(root, first=(1, 0.2)),
+            "other clip edited": lambda: write_re10k(root, second=(3, 0.1)),
+            "other clip removed": lambda: write_re10k(root, second=None),
+            "chunk truncated": lambda: os.truncate(root / "000000.torch", 2000),
         }
     files = [root / "images" / name for name in NAMES]
-    happens = {
-        "an asked photograph is edited in place": lambda: edit_in_place(
+    edits = {
+        "requested photograph edited in place": lambda: edit_in_place(
             files[1], lambda: save(files[1], 77)
         ),
-        "another is edited": lambda: save(files[0], 78),
-        "another is smaller": lambda: save(files[0], 0, WIDTH // 2, HEIGHT // 2),
-        "an asked one is cut short": lambda: os.truncate(files[1], 999),
-        "another is renamed and comes first": lambda: files[2].rename(root / "images/a.png"),
-        "an asked one is removed": lambda: files[3].unlink(),
-        "one is added": lambda: save(root / "images/view_3.png", 50),
-        "one is added with another ending": lambda: save(files[1].with_suffix(".jpg"), 51),
+        "other photograph edited": lambda: save(files[0], 78),
+        "other photograph shrunk": lambda: save(files[0], 0, WIDTH // 2, HEIGHT // 2),
+        "requested photograph truncated": lambda: os.truncate(files[1], 999),
+        "other photograph renamed to sort first": lambda: files[2].rename(root / "images/a.png"),
+        "requested photograph removed": lambda: files[3].unlink(),
+        "photograph added": lambda: save(root / "images/view_3.png", 50),
+        "same stem, other suffix added": lambda: save(files[1].with_suffix(".jpg"), 51),
     }
-    write = CAMERAS[format]
+    write = CAMERA_WRITERS[format]
     if format != "photographs":
-        happens["an asked camera is moved"] = lambda: write(root, [0, 0.15, 0.2, 0.3])
-        happens["cameras stand in another order"] = lambda: write(root, XS, [3, 1, 0, 2])
+        edits["requested camera moved"] = lambda: write(root, [0, 0.15, 0.2, 0.3])
+        edits["cameras reordered"] = lambda: write(root, XS, [3, 1, 0, 2])
     if format == "nerfstudio":
         depth = root / "view_2.npy"
-        happens["an asked depth is edited"] = lambda: np.save(depth, np.ones((HEIGHT, WIDTH)))
-        happens["a lens is stated"] = lambda: write(root, k1=0.1)
+        edits["requested depth edited"] = lambda: np.save(depth, np.ones((HEIGHT, WIDTH)))
+        edits["lens distortion added"] = lambda: write(root, k1=0.1)
     if format == "colmap":
-        happens["a binary model is added"] = lambda: write(root, [0, 0.2, 0.3, 0.4], text=False)
-    return happens
+        edits["binary model added"] = lambda: write(root, [0, 0.2, 0.3, 0.4], text=False)
+    return edits
 
 
 @pytest.fixture(autouse=True, scope="module")
-def quick():
-    """Spare seconds: cameras of photographs are made up, and old objects not collected."""
+def fast_ingest():
+    """Replace camera estimation, and exempt old objects from collection, to save seconds."""
     gc.freeze()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(unposed, "find_cameras", made_up)
+        patch.setattr(unposed, "find_cameras", side_by_side)
         unposed._find.cache_clear()
         yield
     unposed._find.cache_clear()
     gc.unfreeze()
 
 
-def answer(stage, arguments, store):
-    """What a stage makes in a store, or why it refuses; and whether it was there."""
+def run_stage(stage, arguments, store):
+    """Return a stage's result, or the text of its refusal; and if it was in the store."""
     with run_context(RunContext(ArtifactStore(str(store)))):
         try:
-            made = stage.task.fn([], [], arguments)
+            output = stage.task.fn([], [], arguments)
         except InputError as error:
             return str(error), False
-    cached = isinstance(made, State)
-    ref = (made.result() if cached else made).ref
+    cached = isinstance(output, State)
+    ref = (output.result() if cached else output).ref
     return (ref.digest, ref.meta.get("cameras"), ref.meta.get("left_out")), cached
 
 
-def ask(format, root, store):
-    """Read the second and the fourth view; or all, as `dataset` does with a folder."""
+def ingest_data(format, root, store):
+    """Ingest the second and fourth view; of LLFF pack all views, as `dataset` does."""
     if format == "llff":
-        return answer(packed, {"source": PosedFolder("s", root)}, store)
-    asked = ("1", "3") if format == "re10k" else ASKED
-    one = Photographs("s", format, root, OPTIONS.get(format, {}), asked)
-    return answer(ingest, {"photographs": one}, store)
+        return run_stage(packed, {"source": PosedFolder("s", root)}, store)
+    views = ("1", "3") if format == "re10k" else REQUESTED
+    photographs = Photographs("s", format, root, OPTIONS.get(format, {}), views)
+    return run_stage(ingest, {"photographs": photographs}, store)
 
 
-def compare(tmp_path, write, changes, ask):
-    """Ask after every change to data, with the results of all before and with none."""
+def check_cache(tmp_path, write, changes, run):
+    """Run after every change of the data, on a store of all earlier results and on an empty one."""
     root, store = tmp_path / "data", tmp_path / "store"
     write(root)
-    first, _ = ask(root, store)
+    first, _ = run(root, store)
     assert not isinstance(first, str)
-    assert ask(write(tmp_path / "copied"), store) == (first, True)
-    others = 0
-    for number, (what, change) in enumerate(changes(root).items()):
+    assert run(write(tmp_path / "copied"), store) == (first, True)
+    different = 0
+    for number, (description, change) in enumerate(changes(root).items()):
         shutil.rmtree(root)
         write(root)
         change()
-        resumed, cached = ask(root, store)
-        if cached:  # else it was made just now
-            assert resumed == ask(root, tmp_path / f"empty{number}")[0], what
-        others += resumed != first
-    assert others >= 2
+        resumed, cached = run(root, store)
+        if cached:
+            assert resumed == run(root, tmp_path / f"empty{number}")[0], description
+        different += resumed != first
+    assert different >= 2
 
 
-@pytest.mark.parametrize("format", CAMERAS)
-def test_a_resumed_run_reads_what_an_empty_store_would(tmp_path, format):
-    compare(
-        tmp_path,
-        lambda root: write(format, root),
-        lambda root: changes(format, root),
-        lambda root, store: ask(format, root, store),
-    )
+@pytest.mark.parametrize("format", CAMERA_WRITERS)
+def test_cached_views_equal_those_of_an_empty_store(tmp_path, format):
+    check_cache(tmp_path, *(partial(step, format) for step in (write, changes, ingest_data)))
 
 
-def test_truth_is_read_anew_when_labels_change(tmp_path):
+def test_cached_truth_equals_that_of_an_empty_store(tmp_path):
     def draw(root, name, at=8):
+        mask = np.zeros((64, 96), np.uint8)
+        mask[at : at + 20, at : at + 20] = 255
+        (root / "labels" / name).mkdir(parents=True, exist_ok=True)
         for category in ("ball", "cup"):
-            mask = np.zeros((64, 96), np.uint8)
-            mask[at : at + 20, at : at + 20] = 255
-            (root / "labels" / name).mkdir(parents=True, exist_ok=True)
             file = root / "labels" / name / f"{category}.png"
             Image.fromarray(mask).save(file, compress_level=0)
 
     def write_labelled(root):
         write("nerfstudio", root)
-        for name in ASKED:
+        for name in REQUESTED:
             draw(root, name)
         (root / "labels/classes.txt").write_text("ball\ncup\n")
         return root
@@ -221,63 +217,61 @@ def test_truth_is_read_anew_when_labels_change(tmp_path):
     def changes(root):
         labels, ball = root / "labels", root / "labels/view_2/ball.png"
         return {
-            "one is edited in place": lambda: edit_in_place(ball, lambda: draw(root, "view_2", 9)),
-            "one is renamed": lambda: (labels / "view_2").rename(labels / "view_3"),
-            "one is added": lambda: draw(root, "view_3"),
-            "a class is added": lambda: (labels / "classes.txt").write_text("ball\ncup\nbox\n"),
-            "photographs are edited": lambda: save(root / "images" / NAMES[1], 60),
+            "mask edited in place": lambda: edit_in_place(ball, lambda: draw(root, "view_2", 9)),
+            "labelled view renamed": lambda: (labels / "view_2").rename(labels / "view_3"),
+            "labelled view added": lambda: draw(root, "view_3"),
+            "class added": lambda: (labels / "classes.txt").write_text("ball\ncup\nbox\n"),
+            "photograph edited": lambda: save(root / "images" / NAMES[1], 60),
         }
 
-    def ask(root, store):
-        asked = Photographs("s", "nerfstudio", root, {}, ("view_10", "view_30"), ASKED)
+    def read_truth(root, store):
+        views = Photographs("s", "nerfstudio", root, {}, ("view_10", "view_30"), REQUESTED)
         with run_context(RunContext(ArtifactStore(str(store)))):
-            made = ingest.task.fn([], [], {"photographs": asked})
-        sample = (made.result() if isinstance(made, State) else made).ref
-        labels = Labels(root / "labels", ASKED, ("ball", "box")).of_views(sample.meta["targets"])
-        return answer(truth, {"sample": sample, "labels": labels}, store)
+            output = ingest.task.fn([], [], {"photographs": views})
+        sample = (output.result() if isinstance(output, State) else output).ref
+        labels = Labels(root / "labels", REQUESTED, ("ball", "box"))
+        labels = labels.of_views(sample.meta["targets"])
+        return run_stage(truth, {"sample": sample, "labels": labels}, store)
 
-    compare(tmp_path, write_labelled, changes, ask)
-
-
-opened = None
+    check_cache(tmp_path, write_labelled, changes, read_truth)
 
 
-def listen(event, arguments):
-    if opened is not None and event == "open" and isinstance(arguments[0], str | os.PathLike):
-        opened.add(os.path.realpath(arguments[0]))
-
-
-@pytest.mark.parametrize("format", CAMERAS)
-def test_a_scene_can_be_sent_elsewhere_and_names_every_file_that_it_opens(tmp_path, format):
-    global opened
+@pytest.mark.parametrize("format", CAMERA_WRITERS)
+def test_inputs_list_every_opened_file_and_scenes_can_be_pickled(tmp_path, format):
     write(format, tmp_path)
+    opened, recording = set(), True
+
+    def record_open(event, arguments):
+        if recording and event == "open" and isinstance(arguments[0], str | os.PathLike):
+            opened.add(os.path.realpath(arguments[0]))
+
+    sys.addaudithook(record_open)
     options = OPTIONS.get(format, {})
-    sys.addaudithook(listen)
-    opened = set()
     scene = datasets.load(format, tmp_path, **options)
     images = {name: scene.read(name).image for name in scene.cameras}
-    paths, opened = opened, None
+    recording = False
     files, _ = datasets.inputs(format, tmp_path, list(images), **options)
-    read = {path for path in paths if path.startswith(f"{tmp_path}/")}
+    read = {path for path in opened if path.startswith(f"{tmp_path}/")}
     assert len(read) >= 2
-    # Which chunk a clip is in is all that the index decides.
+    # The index only names the chunk of a clip, which is an input itself.
     assert read - {str(tmp_path / "index.json")} <= {os.path.realpath(file) for file in files}
     if format != "re10k":
-        again = pickle.loads(pickle.dumps(scene))
+        restored = pickle.loads(pickle.dumps(scene))
         for name, image in images.items():
-            np.testing.assert_array_equal(again.read(name).image, image)
+            np.testing.assert_array_equal(restored.read(name).image, image)
 
 
-def test_data_that_change_while_they_are_read_are_refused(tmp_path, monkeypatch):
-    write("nerfstudio", tmp_path / "data")
+def test_data_changed_during_the_run_are_refused(tmp_path, monkeypatch):
+    root, store = tmp_path / "data", tmp_path / "store"
+    write("nerfstudio", root)
     read = Photographs.read
 
-    def slowly(self):
-        save(tmp_path / "data/images" / NAMES[1], 99)
+    def change_and_read(self):
+        save(root / "images" / NAMES[1], 99)
         return read(self)
 
-    monkeypatch.setattr(Photographs, "read", slowly)
-    said, _ = ask("nerfstudio", tmp_path / "data", tmp_path / "store")
-    assert "was changed after the run had begun" in said
+    monkeypatch.setattr(Photographs, "read", change_and_read)
+    refusal, _ = ingest_data("nerfstudio", root, store)
+    assert "was changed after the run had begun" in refusal
     monkeypatch.undo()
-    assert not isinstance(ask("nerfstudio", tmp_path / "data", tmp_path / "store")[0], str)
+    assert not isinstance(ingest_data("nerfstudio", root, store)[0], str)

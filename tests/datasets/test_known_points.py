@@ -1,7 +1,7 @@
-"""Known 3D points through every reader and every lens, each drawn as a dot and found again.
+"""Known 3D points through every reader and lens: drawn as dots, then measured in the image read.
 
-Dots are drawn where pycolmap's lens puts them, so that in the straight photograph each is a
-Gaussian about the pixel that float64 NumPy projects its point to.
+pycolmap's lens places the dots, so that in the undistorted image each is a Gaussian about the
+float64 projection of its point.
 """
 
 import codecs
@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 from posed_folders import write_model
 from scipy.spatial.transform import Rotation
-from test_colmap import LENSES
 
 from slgaussian.datasets import load, re10k
 from slgaussian.scene import Scene
@@ -30,7 +29,7 @@ POINTS = np.array(
 
 @dataclass(frozen=True)
 class Pose:
-    """World-to-camera [3, 4], turned about all axes; as :func:`write_model` takes it."""
+    """An image's id, rotation about all axes and position, as :func:`write_model` takes it."""
 
     number: int
     turn: tuple[float, float, float]
@@ -45,52 +44,59 @@ class Pose:
 POSES = (Pose(1, (4, -3, 20), (0.1, -0.2, 0.3)), Pose(2, (-5, 6, -11), (0.4, 0.1, -0.2)))
 
 
-def opengl(pose: Pose) -> list:
-    """Camera-to-world with OpenGL axes: the inverse pose, its y and z columns turned round."""
-    c2w = np.linalg.inv(np.vstack([pose.w2c(), (0, 0, 0, 1)]))
-    return (c2w @ np.diag([1.0, -1, -1, 1])).tolist()
-
-
 def transforms(folder, top=None, frame=None, encode=str.encode, name="images/{}") -> Scene:
-    """A scene of nerfstudio's form with those keys at the top and in each frame."""
-    frames = [
-        {"file_path": name.format(n), "transform_matrix": opengl(pose), **(frame or {})}
-        for n, pose in zip(NAMES, POSES, strict=True)
-    ]
+    """Write transforms.json with keys at the top and in each frame, and read it."""
+    frames = []
+    for n, pose in zip(NAMES, POSES, strict=True):
+        c2w = np.linalg.inv(np.vstack([pose.w2c(), (0, 0, 0, 1)]))
+        opengl = (c2w @ np.diag([1.0, -1, -1, 1])).tolist()
+        frames.append({"file_path": name.format(n), "transform_matrix": opengl, **(frame or {})})
     content = {"w": WIDTH, "h": HEIGHT, **(top or {}), "frames": frames}
     (folder / "transforms.json").write_bytes(encode(json.dumps(content)))
     return load("nerfstudio", folder)
 
 
-def focal(fx, fy, cx=121.4, cy=104.7, **more) -> dict:
-    return {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, **more}
+def intrinsics(fx, fy, cx=121.4, cy=104.7, **keys) -> dict:
+    return {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, **keys}
 
 
-def angle(length: float, size: int) -> float:
-    return 2 * np.arctan(size / 2 / length)
+def angle(focal: float, size: int) -> float:
+    return 2 * np.arctan(size / 2 / focal)
 
 
-def with_mark(text: str) -> bytes:
+def encode_with_bom(text: str) -> bytes:
     return codecs.BOM_UTF8 + text.encode()
 
 
+LENSES = {
+    "SIMPLE_RADIAL": (150.0, 121.4, 104.7, -0.12),
+    "RADIAL": (150.0, 121.4, 104.7, -0.15, 0.03),
+    "OPENCV": (160.0, 163.0, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006),
+    "FULL_OPENCV": (160.0, 163.0, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006, 0.01, 0.02, 0.01, 0.0),
+    "OPENCV_FISHEYE": (160.0, 163.0, 121.4, 104.7, 0.05, -0.02, 0.004, -0.001),
+    "SIMPLE_FISHEYE": (150.0, 121.4, 104.7),
+    "FISHEYE": (150.0, 153.0, 121.4, 104.7),
+    "SIMPLE_RADIAL_FISHEYE": (150.0, 121.4, 104.7, 0.04),
+    "RADIAL_FISHEYE": (150.0, 121.4, 104.7, 0.04, -0.01),
+}
 PINHOLE = "PINHOLE", (150, 153, 121.4, 104.7)
 FISHEYE = "OPENCV_FISHEYE", LENSES["OPENCV_FISHEYE"]
-NERF = {  # what a file says, and the model and parameters of pycolmap's that it means
-    "pinhole": ({"top": focal(150, 153)}, *PINHOLE),
+NERFSTUDIO = {  # keys of a file, and pycolmap's model and parameters of the same lens
+    "pinhole": ({"top": intrinsics(150, 153)}, *PINHOLE),
     "opencv": (
-        {"top": focal(160, 163, k1=-0.2, k2=0.05, p1=0.004, p2=-0.006, k3=0.01)},
+        {"top": intrinsics(160, 163, k1=-0.2, k2=0.05, p1=0.004, p2=-0.006, k3=0.01)},
         *("FULL_OPENCV", (160, 163, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006, 0.01, 0, 0, 0)),
     ),
     "fisheye": (
         {
-            "top": focal(160, 163, k1=0.05, k2=-0.02, k3=0.004, k4=-0.001),
+            "top": intrinsics(160, 163, k1=0.05, k2=-0.02, k3=0.004, k4=-0.001),
             "frame": {"camera_model": "OPENCV_FISHEYE"},
         },
         *FISHEYE,
     ),
     "is_fisheye": (
-        {"top": focal(160, 163, k1=0.05, k2=-0.02, k3=0.004, k4=-0.001, is_fisheye=True)}, *FISHEYE,
+        {"top": intrinsics(160, 163, k1=0.05, k2=-0.02, k3=0.004, k4=-0.001, is_fisheye=True)},
+        *FISHEYE,
     ),
     "radians": (
         {"top": {"camera_angle_x": angle(150, WIDTH), "camera_angle_y": angle(130, HEIGHT)}},
@@ -106,7 +112,7 @@ NERF = {  # what a file says, and the model and parameters of pycolmap's that it
     ),
     "neutral keys": (
         {
-            "top": focal(
+            "top": intrinsics(
                 *(150, 153), is_fisheye=False, k5=0, ortho=False, rolling_shutter=[0, 0, 0],
                 applied_transform=np.eye(4)[:3].tolist(), aabb_scale=16, scale=0.3, scale_factor=1,
                 distortion_model="none",
@@ -114,8 +120,8 @@ NERF = {  # what a file says, and the model and parameters of pycolmap's that it
         },
         *PINHOLE,
     ),
-    "of Windows": (
-        {"top": focal(150, 153), "encode": with_mark, "name": "images\\{}"}, *PINHOLE,
+    "written on Windows": (
+        {"top": intrinsics(150, 153), "encode": encode_with_bom, "name": "images\\{}"}, *PINHOLE,
     ),
 }  # fmt: skip
 
@@ -123,8 +129,8 @@ NERF = {  # what a file says, and the model and parameters of pycolmap's that it
 def read_llff(folder: Path) -> Scene:
     rows = []
     for pose in POSES:
-        R, at = pose.w2c()[:, :3].T, pose.place  # columns: right, down, ahead
-        matrix = np.column_stack([R[:, 1], R[:, 0], -R[:, 2], at, (HEIGHT, WIDTH, 150)])
+        right, down, forward = pose.w2c()[:, :3]
+        matrix = np.column_stack([down, right, -forward, pose.place, (HEIGHT, WIDTH, 150)])
         rows.append([*matrix.ravel(), 1, 9])
     np.save(folder / "poses_bounds.npy", rows)
     return load("llff", folder)
@@ -144,10 +150,10 @@ def read_colmap(model, params, text):
         write_model(
             folder / "sparse/0", shots, {1: (model, params)}, text=text, size=(WIDTH, HEIGHT)
         )
-        if text:  # as written from known poses, and on Windows
+        if text:  # as converters of known poses write it on Windows
             images = folder / "sparse/0/images.txt"
-            kept = [line for line in images.read_text().splitlines() if line.strip()]
-            images.write_bytes(with_mark("\r\n".join(kept)))
+            lines = [line for line in images.read_text().splitlines() if line.strip()]
+            images.write_bytes(encode_with_bom("\r\n".join(lines)))
         return load("colmap", folder)
 
     return read
@@ -158,7 +164,7 @@ READERS = {
     "re10k": (read_re10k, *PINHOLE),
     **{
         f"nerfstudio {name}": (lambda folder, keys=keys: transforms(folder, **keys), *lens)
-        for name, (keys, *lens) in NERF.items()
+        for name, (keys, *lens) in NERFSTUDIO.items()
     },
     **{
         f"colmap {model}{' text' * text}": (read_colmap(model, params, text), model, params)
@@ -171,22 +177,22 @@ READERS = {
 
 
 @pytest.mark.parametrize("reader", READERS)
-def test_a_dot_is_seen_where_its_point_is_projected(tmp_path, reader):
+def test_dots_lie_at_the_projections_of_their_points(tmp_path, reader):
     pycolmap = pytest.importorskip("pycolmap")
     read, model, params = READERS[reader]
     lens = pycolmap.Camera(model=model, width=WIDTH, height=HEIGHT, params=list(params))
     K = lens.calibration_matrix()
     v, u = np.indices((HEIGHT, WIDTH)) + 0.5
     rays = lens.cam_from_img(np.stack([u, v], -1).reshape(-1, 2))
-    straight = (rays @ K[:2, :2].T + K[:2, 2]).reshape(HEIGHT, WIDTH, 2)
+    undistorted = (rays @ K[:2, :2].T + K[:2, 2]).reshape(HEIGHT, WIDTH, 2)
     (tmp_path / "images").mkdir()
     expected = {}
     for name, pose in zip(NAMES, POSES, strict=True):
         R, t = np.split(pose.w2c(), [3], axis=1)
         local = (R @ POINTS.T + t).T @ K.T
         expected[name] = local[:, :2] / local[:, 2:]
-        squares = ((straight[:, :, None] - expected[name]) ** 2).sum(-1)
-        dots = 250 * np.exp(-squares / (2 * SIGMA**2)).sum(-1)
+        distances2 = ((undistorted[:, :, None] - expected[name]) ** 2).sum(-1)
+        dots = 250 * np.exp(-distances2 / (2 * SIGMA**2)).sum(-1)
         Image.fromarray(np.round(dots.clip(0, 255)).astype(np.uint8)).save(
             tmp_path / "images" / name
         )
@@ -200,9 +206,9 @@ def test_a_dot_is_seen_where_its_point_is_projected(tmp_path, reader):
             left, top = int(x) - HALF, int(y) - HALF
             window = view.image[top:, left:][: 2 * HALF + 1, : 2 * HALF + 1, 0].astype(float)
             rows, cols = np.indices(window.shape) + 0.5
-            seen = ((window * cols).sum(), (window * rows).sum()) / window.sum() + (left, top)
-            errors.append(seen - (x, y))
-    # Eight bits leave 0.0075 (measured), OpenCV's steps of 1/32 pixel half a step more where a lens
-    # shifts neighbours alike; over all dots that averages out.
+            centroid = ((window * cols).sum(), (window * rows).sum()) / window.sum() + (left, top)
+            errors.append(centroid - (x, y))
+    # Eight bits leave 0.0075 (measured); OpenCV's steps of 1/32 pixel add half a step where a lens
+    # shifts neighbours alike, which averages out over all dots.
     assert np.abs(errors).max() < (0.01 if "PINHOLE" in model else 0.025)
     assert np.abs(np.mean(errors, axis=0)).max() < 0.01

@@ -1,4 +1,4 @@
-"""LERF-OVS and 3D-OVS: scenes, cameras, labels."""
+"""Scenes, cameras and labels of LERF-OVS and 3D-OVS."""
 
 import json
 
@@ -16,7 +16,7 @@ CLASSES = ("white sheet", "a stack of UNO cards", "hand")
 SHOTS = {name: Shot(9 - i, place=(0.1 * i, 0, 0)) for i, name in enumerate(NAMES)}
 
 
-def test_lerf_ovs(tmp_path):
+def test_lerf_ovs_scene_has_cameras_and_labels(tmp_path):
     for scene in ("ramen", "teatime"):
         write_model(tmp_path / scene / "sparse/0", SHOTS)
         write_pictures(tmp_path / scene / "images", NAMES)
@@ -54,7 +54,7 @@ def bed(tmp_path):
     return bed
 
 
-def test_cameras_of_3d_ovs_are_those_of_a_model_if_there_is_one(bed):
+def test_colmap_model_takes_precedence_over_poses_of_3d_ovs(bed):
     assert scenes("ovs3d", bed.parent) == {"bed": {"scene": "bed"}}
     scene = load("ovs3d", bed.parent, "bed")
     assert list(scene.cameras) == NAMES and scene.cameras[NAMES[1]].K[0, 2] == WIDTH / 2
@@ -62,7 +62,7 @@ def test_cameras_of_3d_ovs_are_those_of_a_model_if_there_is_one(bed):
     assert load("ovs3d", bed.parent, "bed").cameras[NAMES[1]].K[0, 2] == 47.3
 
 
-def test_masks_of_3d_ovs_have_holes_and_count_only_white(bed):
+def test_masks_of_3d_ovs_keep_holes_and_count_only_white(bed):
     labels = bed / "segmentations"
     Image.fromarray(np.where(RING > 0, 255, 254).astype(np.uint8)).save(
         labels / f"01/{CLASSES[1]}.png"
@@ -75,7 +75,7 @@ def test_masks_of_3d_ovs_have_holes_and_count_only_white(bed):
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("change", "refusal"),
     [
         (lambda f: (f / "01/hand.png").unlink(), r"hand\.png: no such mask; every labelled"),
         (lambda f: (f / "01/hand.png").write_text("no"), r"hand\.png: cannot be read"),
@@ -84,7 +84,7 @@ def test_masks_of_3d_ovs_have_holes_and_count_only_white(bed):
         (lambda f: (f / "classes.txt").write_bytes(b"\xff\xfe\x00"), r"classes\.txt: cannot"),
     ],
 )
-def test_damaged_masks_are_named(bed, change, sentence):
+def test_damaged_labels_are_refused_by_name(bed, change, refusal):
     change(bed / "segmentations")
-    with pytest.raises(InputError, match=sentence):
+    with pytest.raises(InputError, match=refusal):
         read_labels(bed / "segmentations", "01.jpg", WIDTH, HEIGHT)

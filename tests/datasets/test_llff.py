@@ -1,3 +1,5 @@
+"""LLFF scenes: order and size of photographs, damaged files, and a real scene's geometry."""
+
 import pickle
 
 import numpy as np
@@ -5,8 +7,10 @@ import pytest
 from PIL import Image
 from posed_folders import HEIGHT, WIDTH, llff_row
 
+from slgaussian.cameras.relative import Relative
 from slgaussian.datasets import llff, load
 from slgaussian.errors import InputError
+from tests.matching import sift_matches
 
 
 def write(root, rows, names, folder="images", size=(WIDTH, HEIGHT)):
@@ -17,13 +21,15 @@ def write(root, rows, names, folder="images", size=(WIDTH, HEIGHT)):
     return root
 
 
-def test_rows_follow_the_names_of_the_photographs_and_focal_lengths_their_size(tmp_path):
+def test_rows_follow_the_sorted_names_of_photographs(tmp_path):
     names = ["c.jpg", "a.JPG", "b.png"]
-    scene = llff.read(write(tmp_path / "x", [llff_row((i, 0, 0)) for i in range(3)], names))
+    scene = llff.read(write(tmp_path, [llff_row((i, 0, 0)) for i in range(3)], names))
     assert list(scene.cameras) == sorted(names)
     assert [c.center[0] for c in scene.cameras.values()] == [0, 1, 2]
     assert (scene.read("b.png").image[..., 0] == 3).all()
 
+
+def test_intrinsics_scale_with_shrunk_photographs(tmp_path):
     rows = [llff_row(size=(3024, 4032), focal=3200.0)]
     write(tmp_path, rows, ["a.png"], "images_4", (1008, 756))
     write(tmp_path, rows, ["a.png"], "images_8", (504, 378))
@@ -35,7 +41,7 @@ def test_rows_follow_the_names_of_the_photographs_and_focal_lengths_their_size(t
 
 
 @pytest.mark.parametrize(
-    ("rows", "sentence"),
+    ("rows", "refusal"),
     [
         (np.zeros((2, 16)), r"found float64 (2, 16), expected a row of 17 numbers"),
         ([llff_row()], "has 1 rows, but"),
@@ -45,31 +51,28 @@ def test_rows_follow_the_names_of_the_photographs_and_focal_lengths_their_size(t
         ([llff_row(), llff_row(focal=0.8)], "'b.png': focal length x is 0.8"),
         (pickle.dumps(np.zeros((2, 17))), "is no array of numbers"),
         (b"\x93NUMPY junk", "is no array of numbers"),
-        ([{}], "is no array of numbers"),  # which NumPy pickles
+        ([{}], "is no array of numbers"),  # NumPy pickles objects
     ],
 )
-def test_damage_ends_in_one_sentence_that_names_the_file(tmp_path, rows, sentence):
+def test_damaged_file_is_refused_by_name(tmp_path, rows, refusal):
     write(tmp_path, rows, ["a.png", "b.png"])
     file = tmp_path / "poses_bounds.npy"
     if isinstance(rows, bytes):
         file.write_bytes(rows)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError) as error:
         llff.read(tmp_path)
-    assert str(caught.value).startswith(f"{file}: ") and sentence in str(caught.value)
+    assert str(error.value).startswith(f"{file}: ") and refusal in str(error.value)
 
 
-def test_matches_of_a_real_scene_lie_on_its_epipolar_lines(real_data):
-    from slgaussian.cameras.relative import Relative
-    from tests.matching import sift_matches
-
+def test_matches_of_a_real_scene_lie_on_epipolar_lines(real_data):
     scene = llff.read(real_data / "fern")
     assert len(scene.cameras) == 20
     a, b = (scene.read(name) for name in ("image000.png", "image003.png"))
-    here, there = sift_matches(a.image.mean(2).astype(np.uint8), b.image.mean(2).astype(np.uint8))
+    at_a, at_b = sift_matches(*(view.image.mean(2).astype(np.uint8) for view in (a, b)))
     relative = Relative.between(a.camera, b.camera)
-    distance = np.abs(relative.epipolar_distance(here, there))
-    assert len(here) > 100
+    distance = np.abs(relative.epipolar_distance(at_a, at_b))
+    assert len(at_a) > 100
     assert np.median(distance) < 0.6
     # The file's depths are percentiles of COLMAP's points: nearly all matches lie between them.
-    depth = 1 / relative.triangulate(here[distance < 1], there[distance < 1])
+    depth = 1 / relative.triangulate(at_a[distance < 1], at_b[distance < 1])
     assert ((depth > 0.8 * a.camera.near) & (depth < 2 * a.camera.far)).mean() > 0.95

@@ -1,3 +1,5 @@
+"""transforms.json of nerfstudio: intrinsics, depth, masks, camera paths and refusals."""
+
 import json
 import warnings
 from pathlib import Path
@@ -5,39 +7,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from posed_folders import HEIGHT, WIDTH, picture, write_pictures
 
 from slgaussian.datasets import nerfstudio
 from slgaussian.errors import InputError
 
-WIDTH, HEIGHT = 96, 64
 INTRINSICS = {"fl_x": 80.0, "fl_y": 82.0, "cx": 47.3, "cy": 33.1, "w": WIDTH, "h": HEIGHT}
 IDENTITY = np.eye(4).tolist()
 
 
-def picture(seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-
-
-def frame(name: str, **more) -> dict:
-    return {"file_path": name, "transform_matrix": IDENTITY, **more}
+def frame(name: str, **keys) -> dict:
+    return {"file_path": name, "transform_matrix": IDENTITY, **keys}
 
 
 def write(root: Path, frames: list, images=("a.png",), **top) -> Path:
-    """A scene folder with those images, and its transforms.json."""
-    for i, name in enumerate(images):
-        Image.fromarray(picture(i)).save(root / name)
+    """Write images and transforms.json, whose path is returned."""
+    write_pictures(root, images)
     file = root / "transforms.json"
     file.write_text(json.dumps({**INTRINSICS, **top, "frames": frames}))
     return file
 
 
-def test_a_frame_overrides_the_file_and_photographs_give_their_size(tmp_path):
+def test_frame_keys_override_the_file_and_sizes_default_to_photographs(tmp_path):
     frames = [frame("./a", cx=10.0), frame("b.png", fl_x=200.0)]
     scene = nerfstudio.read(write(tmp_path, frames, ("a.png", "b.png"), w=None, cy=None))
     first, second = scene.cameras.values()
     assert first.K.tolist() == [[80, 0, 10], [0, 82, 32], [0, 0, 1]]
     assert second.K.tolist() == [[200, 0, 47.3], [0, 82, 32], [0, 0, 1]]
-    assert (scene.read(scene.find("a")).image == picture()).all()
+    assert (scene.read(scene.find("a")).image == picture(0)).all()
 
 
 def read_depth(tmp_path, values, **top) -> np.ndarray | None:
@@ -50,24 +47,21 @@ def read_depth(tmp_path, values, **top) -> np.ndarray | None:
     return nerfstudio.read(file).read("a.png").depth
 
 
-def test_depth_is_millimetres_unless_the_file_says_otherwise(tmp_path):
+def test_depth_is_in_millimetres_by_default(tmp_path):
     raw = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
-    for top, factor in (
-        ({}, 0.001),
-        ({"depth_unit_scale_factor": 0.25}, 0.25),
-        ({"applied_scale": 0.5}, 0.0005),
-    ):
+    scales = {"depth_unit_scale_factor": 0.25}, {"applied_scale": 0.5}
+    for top, factor in zip(({}, *scales), (0.001, 0.25, 0.0005), strict=True):
         for values in (raw, *map(raw.astype, (float, np.float32, np.int32))):
             depth = read_depth(tmp_path, values, **top)
             assert depth.dtype == np.float32 and depth == pytest.approx(raw * factor)
-    unknown = np.full((HEIGHT, WIDTH), 1500.0)
-    unknown[0, :4] = (np.nan, np.inf, -3, 0)
-    assert read_depth(tmp_path, unknown)[0, :5].tolist() == [0, 0, 0, 0, 1.5]
+    partial = np.full((HEIGHT, WIDTH), 1500.0)
+    partial[0, :4] = (np.nan, np.inf, -3, 0)
+    assert read_depth(tmp_path, partial)[0, :5].tolist() == [0, 0, 0, 0, 1.5]
 
 
-def test_depth_is_that_at_the_pixel_centres_and_undistorted_without_inventing_values(tmp_path):
+def test_depth_is_resampled_at_pixel_centres_and_undistorted_without_new_values(tmp_path):
     def plane(height, width):
-        """Its inverse depth is affine over the photograph."""
+        """Depth of a plane: its inverse is affine over the image."""
         y, x = np.mgrid[:height, :width] + 0.5
         return 1 / (0.3 + 0.2 * x / width + 0.1 * y / height)
 
@@ -78,20 +72,15 @@ def test_depth_is_that_at_the_pixel_centres_and_undistorted_without_inventing_va
     assert set(np.unique(read_depth(tmp_path, step, k1=0.3))) == {0, 2, 5}
 
 
-@pytest.mark.parametrize(
-    ("values", "sentence"),
-    [
-        (np.ones((WIDTH, HEIGHT)), r"d\.npy: is 64x96, of another shape than its"),
-        (np.ones((HEIGHT, WIDTH, 3)), r"d\.npy: is float64 \(64, 96, 3\), expected one"),
-    ],
-)
-def test_depth_that_does_not_fit_is_refused(tmp_path, values, sentence):
-    with pytest.raises(InputError, match=sentence):
-        read_depth(tmp_path, values)
+def test_depth_of_wrong_shape_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"d\.npy: is 64x96, of another shape than its"):
+        read_depth(tmp_path, np.ones((WIDTH, HEIGHT)))
+    with pytest.raises(InputError, match=r"d\.npy: is float64 \(64, 96, 3\), expected one"):
+        read_depth(tmp_path, np.ones((HEIGHT, WIDTH, 3)))
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg"])
-def test_a_photograph_that_is_cut_or_of_another_size_is_named(tmp_path, name):
+def test_truncated_or_resized_photograph_is_refused_by_name(tmp_path, name):
     scene = nerfstudio.read(write(tmp_path, [frame(name)], (name,)))
     data = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(data[: len(data) // 2])
@@ -103,36 +92,36 @@ def test_a_photograph_that_is_cut_or_of_another_size_is_named(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    ("entry", "top", "sentence"),
+    ("frames", "top", "refusal"),
     [
-        (None, {}, "lists no frames"),
-        ({"transform_matrix": IDENTITY}, {}, "frame 0 has no file_path"),
-        ({"file_path": "a.png"}, {}, "frame 'a.png': has no transform_matrix"),
-        (frame("a.png", transform_matrix=[[1, 2], [3]]), {}, "has no transform_matrix of 4x4"),
-        (frame("a.png", transform_matrix=(2 * np.eye(4)).tolist()), {}, "not a rotation"),
-        (frame("a.png", fl_x="wide"), {}, "fl_x is 'wide', expected a finite number"),
-        (frame("a.png", fl_x=-5), {}, "focal lengths -5, 82 must be positive"),
-        (frame("a.png", w=90.5), {}, "w and h are 90.5 and 64"),
-        (frame("a.png"), {"fl_x": None}, "neither fl_x nor camera_angle_x"),
-        (frame("a.png"), {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' cannot be read"),
-        (frame("a.png"), {"is_fisheye": "false"}, "is_fisheye is 'false', expected true or false"),
-        (frame("a.png", is_fisheye=True), {"camera_model": "OPENCV"}, "is_fisheye is True"),
-        (frame("gone.png"), {"w": None}, "neither w and h nor a photograph"),
-        (frame("a.png", camera_angle_y=60.0), {"fl_y": None}, "camera_angle_y is 60, expected"),
-        (frame("a.png", fl_x=0.8, fl_y=0.8), {}, "focal length x is 0.8"),
-        (frame("a.png", cx=0.49, cy=0.52), {}, "principal point is (0.49, 0.52)"),
+        ([], {}, "lists no frames"),
+        ([frame("a.png")] * 2, {}, "two frames have the file_path 'a.png'"),
+        ([{"transform_matrix": IDENTITY}], {}, "frame 0 has no file_path"),
+        ([{"file_path": "a.png"}], {}, "frame 'a.png': has no transform_matrix"),
+        ([frame("a.png", transform_matrix=[[1, 2], [3]])], {}, "has no transform_matrix of 4x4"),
+        ([frame("a.png", transform_matrix=(2 * np.eye(4)).tolist())], {}, "not a rotation"),
+        ([frame("a.png", fl_x="wide")], {}, "fl_x is 'wide', expected a finite number"),
+        ([frame("a.png", fl_x=-5)], {}, "focal lengths -5, 82 must be positive"),
+        ([frame("a.png", w=90.5)], {}, "w and h are 90.5 and 64"),
+        ([frame("a.png")], {"fl_x": None}, "neither fl_x nor camera_angle_x"),
+        ([frame("a.png")], {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' cannot be read"),
+        ([frame("a.png")], {"is_fisheye": "false"}, "is_fisheye is 'false', expected true or"),
+        ([frame("a.png", is_fisheye=True)], {"camera_model": "OPENCV"}, "is_fisheye is True"),
+        ([frame("gone.png")], {"w": None}, "neither w and h nor a photograph"),
+        ([frame("a.png", camera_angle_y=60.0)], {"fl_y": None}, "camera_angle_y is 60, expected"),
+        ([frame("a.png", fl_x=0.8, fl_y=0.8)], {}, "focal length x is 0.8"),
+        ([frame("a.png", cx=0.49, cy=0.52)], {}, "principal point is (0.49, 0.52)"),
     ],
 )
-def test_a_bad_file_ends_in_one_sentence_that_names_it(tmp_path, entry, top, sentence):
-    file = write(tmp_path, [] if entry is None else [entry], **top)
-    with pytest.raises(InputError) as caught:
+def test_invalid_file_is_refused_by_name(tmp_path, frames, top, refusal):
+    file = write(tmp_path, frames, **top)
+    with pytest.raises(InputError) as error:
         nerfstudio.read(file)
-    assert str(caught.value).startswith(f"{file}: ")
-    assert sentence in str(caught.value)
+    assert str(error.value).startswith(f"{file}: ") and refusal in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("keys", "sentence"),
+    ("keys", "contradiction"),
     [
         ({"camera_angle_x": 1.08}, None),  # 2 atan(48 / 80) = 1.0808
         ({"y_fov": 42.6, "camera_angle_y": 0.743}, None),
@@ -142,39 +131,36 @@ def test_a_bad_file_ends_in_one_sentence_that_names_it(tmp_path, entry, top, sen
         ({"fl_x": None, "camera_angle_x": 1.2, "x_fov": 60.0}, "x_fov is 60, but 68.7549 by"),
     ],
 )
-def test_focal_lengths_that_contradict_each_other_are_named_and_the_first_taken(
-    tmp_path, keys, sentence
+def test_contradicting_focal_keys_are_warned_of_and_the_first_is_used(
+    tmp_path, keys, contradiction
 ):
-    entries = [frame("a.png"), frame("b.png")]
-    expected = {"fl_x": None, "camera_angle_x": 1.2} if "fl_x" in keys else {}
-    K = nerfstudio.read(write(tmp_path, entries, **expected)).cameras["a.png"].K
-    file = write(tmp_path, entries, **keys)
+    frames = [frame("a.png"), frame("b.png")]
+    first = {"fl_x": None, "camera_angle_x": 1.2} if "fl_x" in keys else {}
+    K = nerfstudio.read(write(tmp_path, frames, **first)).cameras["a.png"].K
+    file = write(tmp_path, frames, **keys)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
         assert (nerfstudio.read(file).cameras["b.png"].K == K).all()
-    said = [str(warning.message) for warning in caught]  # once for all frames
-    assert len(said) == (sentence is not None)
-    assert all(text.startswith(f"{file}: {sentence}") for text in said)
+    messages = [str(warning.message) for warning in caught]
+    assert len(messages) == (contradiction is not None)  # one for all frames
+    assert all(message.startswith(f"{file}: {contradiction}") for message in messages)
 
 
-def test_two_frames_of_one_name_and_a_fourth_radial_term_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"two frames have the file_path 'a\.png'"):
-        nerfstudio.read(write(tmp_path, [frame("a.png"), frame("a.png")]))
+def test_fourth_radial_term_is_refused(tmp_path):
     scene = nerfstudio.read(write(tmp_path, [frame("a.png")], k4=0.1))
     with pytest.raises(InputError, match=r"frame 'a\.png': k4 is 0\.1"):
         scene.read("a.png")
 
 
-def test_sensor_depth_of_real_frames_warps_one_onto_another(real_data):
+def test_sensor_depths_of_real_frames_agree(real_data):
     scene = nerfstudio.read(real_data / "office")
     a, b = (scene.read(name) for name in list(scene.cameras)[:2])
     pixels, z = b.camera.project(a.camera.unproject(a.depth))
     u, v = pixels[..., 0].round().astype(int), pixels[..., 1].round().astype(int)
     inside = (a.depth > 0) & (u >= 0) & (v >= 0) & (u < b.camera.width) & (v < b.camera.height)
-    there = b.depth[v[inside], u[inside]]
-    known = there > 0
-    error = np.abs(there - z[inside])[known] / z[inside][known]
-    assert np.median(error) < 0.03
+    measured, projected = b.depth[v[inside], u[inside]], z[inside]
+    error = np.abs(measured - projected) / projected
+    assert np.median(error[measured > 0]) < 0.03
 
 
 @pytest.mark.parametrize(
@@ -188,23 +174,23 @@ def test_sensor_depth_of_real_frames_warps_one_onto_another(real_data):
         ("depth_scale", 1000.0),
     ],
 )
-def test_a_key_that_changes_the_picture_and_is_not_read_is_refused(tmp_path, key, value):
-    for top, own in (({key: value}, {}), ({}, {key: value})):
+def test_unsupported_key_that_changes_the_image_is_refused(tmp_path, key, value):
+    for top, keys in (({key: value}, {}), ({}, {key: value})):
         with pytest.raises(InputError, match=rf"frame 'a\.png': {key} is "):
-            nerfstudio.read(write(tmp_path, [frame("a.png", **own)], **top))
-    # By itself, as a viewpoint is given.
+            nerfstudio.read(write(tmp_path, [frame("a.png", **keys)], **top))
+    # A file of a single camera, as for a viewpoint.
     (tmp_path / "one.json").write_text(json.dumps(frame("a.png", **INTRINSICS, **{key: value})))
     with pytest.raises(InputError, match=rf"{key} is "):
         nerfstudio.read_cameras(tmp_path / "one.json")
 
 
 @pytest.mark.parametrize("lens", [{}, {"k1": 0.2}])
-def test_masks_count_as_the_same_alpha_channel_does(tmp_path, lens):
+def test_mask_has_the_effect_of_an_equal_alpha_channel(tmp_path, lens):
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[10:50, 20:70] = 255
     mask[10, 20:70] = 100
     mask[11, 20:70] = 200
-    Image.fromarray(np.dstack([picture(), mask])).save(tmp_path / "rgba.png")
+    Image.fromarray(np.dstack([picture(0), mask])).save(tmp_path / "rgba.png")
     frames = [frame("a.png", mask_path="m.png"), frame("rgba.png")]
     scene = nerfstudio.read(write(tmp_path, frames, **lens))
     with pytest.raises(InputError, match=r"m\.png: cannot be read"):
@@ -218,20 +204,20 @@ def test_masks_count_as_the_same_alpha_channel_does(tmp_path, lens):
     assert np.array_equal(masked.opaque, with_alpha.opaque)
     if not lens:
         assert np.array_equal(masked.opaque, mask >= 128)
-        assert np.array_equal(masked.image, np.round(picture() * (mask[..., None] / 255)))
+        assert np.array_equal(masked.image, np.round(picture(0) * (mask[..., None] / 255)))
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("change", "refusal"),
     [
         ({"camera_type": "equirectangular"}, "expected perspective cameras"),
         ({"camera_path": []}, "has no camera"),
         ({"camera_path": [{"fov": 50}]}, "is no camera path of nerfstudio's"),
     ],
 )
-def test_a_camera_path_that_cannot_be_followed_is_refused(tmp_path, change, sentence):
-    frame = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50}
-    content = {"render_width": 64, "render_height": 48, "camera_path": [frame]}
+def test_unusable_camera_path_is_refused(tmp_path, change, refusal):
+    camera = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50}
+    content = {"render_width": 64, "render_height": 48, "camera_path": [camera]}
     (tmp_path / "path.json").write_text(json.dumps(content | change))
-    with pytest.raises(InputError, match=sentence):
+    with pytest.raises(InputError, match=refusal):
         nerfstudio.read_cameras(tmp_path / "path.json")

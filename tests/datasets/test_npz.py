@@ -1,4 +1,4 @@
-"""Cameras of an NPZ, in whatever convention its writer had: the depth in it tells which."""
+"""Cameras of NPZ files, whose conventions are told from the depth in them."""
 
 import warnings
 from pathlib import Path
@@ -25,25 +25,25 @@ def room() -> list[View]:
 
 @pytest.fixture(scope="module")
 def folder(room: list[View], tmp_path_factory) -> Path:
-    place = tmp_path_factory.mktemp("photographs")
+    folder = tmp_path_factory.mktemp("photographs")
     for view in room:
-        Image.fromarray(view.image).save(place / f"{view.name}.png")
-    return place
+        Image.fromarray(view.image).save(folder / f"{view.name}.png")
+    return folder
 
 
-def seen_by_network(
+def network_maps(
     room: list[View], width: int, height: int, cover: bool | None = None
 ) -> dict[str, np.ndarray]:
-    """Depth and intrinsics of photographs stretched to a size; or cropped to it, or padded."""
+    """Depth and intrinsics at a network's size: stretched, cropped (``cover``) or padded to it."""
     depth, intrinsics = [], []
     for view in room:
         x, y = width / view.camera.width, height / view.camera.height
         if cover is not None:
             x = y = max(x, y) if cover else min(x, y)
         left, top = (width - x * view.camera.width) / 2, (height - y * view.camera.height) / 2
-        at = np.array([[x, 0, left], [0, y, top], [0, 0, 1.0]])
-        depth.append(cv2.warpAffine(view.depth, at[:2], (width, height), flags=cv2.INTER_NEAREST))
-        intrinsics.append(at @ view.camera.K)
+        warp = np.array([[x, 0, left], [0, y, top], [0, 0, 1.0]])
+        depth.append(cv2.warpAffine(view.depth, warp[:2], (width, height), flags=cv2.INTER_NEAREST))
+        intrinsics.append(warp @ view.camera.K)
     return {"depth": np.array(depth), "intrinsics": np.array(intrinsics)}
 
 
@@ -52,18 +52,18 @@ def stacked(room: list[View], name: str) -> np.ndarray:
 
 
 def layouts(room: list[View], name: str) -> tuple[str, dict[str, np.ndarray]]:
-    """The sentence about how a file is read, "" if as its names say; and its arrays."""
-    seen = seen_by_network(room, 504, 378)
+    """Return what the warning on reading a file says, "" for none, and the file's arrays."""
+    maps = network_maps(room, 504, 378)
     w2c, c2w = stacked(room, "w2c"), stacked(room, "c2w")
-    vggt = {"depth": seen["depth"][None, ..., None], "intrinsic": seen["intrinsics"][None]}
-    boxed = seen_by_network(room, 518, 518, cover=False)
+    vggt = {"depth": maps["depth"][None, ..., None], "intrinsic": maps["intrinsics"][None]}
+    boxed = network_maps(room, 518, 518, cover=False)
     return {
         "vggt": ("", {**vggt, "extrinsic": w2c[None, :, :3]}),
-        "dust3r": ("", {**seen_by_network(room, 512, 288, cover=True), "poses": c2w}),
+        "dust3r": ("", {**network_maps(room, 512, 288, cover=True), "poses": c2w}),
         "letter-boxed": ("of padded", {**boxed, "extrinsics": w2c}),
-        "inverted": ("camera-to-world in OpenCV's", {**seen, "extrinsics": c2w}),
-        "opengl": ("in OpenGL's axes", {**seen, "poses": c2w @ FLIP_YZ}),
-        "stored": ("as of stored", {**seen, "extrinsics": w2c, "intrinsics": stacked(room, "K")}),
+        "inverted": ("camera-to-world in OpenCV's", {**maps, "extrinsics": c2w}),
+        "opengl": ("in OpenGL's axes", {**maps, "poses": c2w @ FLIP_YZ}),
+        "stored": ("as of stored", {**maps, "extrinsics": w2c, "intrinsics": stacked(room, "K")}),
     }[name]
 
 
@@ -71,17 +71,17 @@ LAYOUTS = "vggt", "dust3r", "letter-boxed", "inverted", "opengl", "stored"
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_cameras_are_those_of_the_photographs(layout, folder, room, tmp_path):
-    said, arrays = layouts(room, layout)
+def test_cameras_of_every_convention_equal_the_true_ones(layout, folder, room, tmp_path):
+    warning, arrays = layouts(room, layout)
     np.savez(tmp_path / "results.npz", **arrays)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        photos = [str(folder / f"{name}.png") for name in VIEWS]
-        scene, named_from = posed_scene(tmp_path / "results.npz", photos)
-    messages = [str(one.message) for one in caught if one.category is UserWarning]
-    assert len(messages) == bool(said)
-    assert all(said in message for message in messages)
-    assert named_from == folder
+        files = [str(folder / f"{name}.png") for name in VIEWS]
+        scene, start = posed_scene(tmp_path / "results.npz", files)
+    messages = [str(item.message) for item in caught if item.category is UserWarning]
+    assert len(messages) == bool(warning)
+    assert all(warning in message for message in messages)
+    assert start == folder
     for view in room:
         camera: Camera = scene.cameras[f"{view.name}.png"]
         np.testing.assert_allclose(camera.K, view.camera.K, atol=1e-6)
@@ -89,11 +89,10 @@ def test_cameras_are_those_of_the_photographs(layout, folder, room, tmp_path):
         np.testing.assert_array_equal(scene.read(f"{view.name}.png").image, view.image)
 
 
-def test_names_choose_among_more_photographs(folder, room, tmp_path):
-    arrays = seen_by_network(room, 504, 378)
+def test_names_assign_cameras_to_some_photographs_of_a_folder(folder, room, tmp_path):
+    arrays = {**network_maps(room, 504, 378), "poses": stacked(room, "c2w")}
     arrays = {name: values[[2, 0]] for name, values in arrays.items()}
-    poses = stacked(room, "c2w")[[2, 0]]
-    np.savez(tmp_path / "a.npz", **arrays, poses=poses, names=["view_02.png", "view_00.png"])
+    np.savez(tmp_path / "a.npz", **arrays, names=["view_02.png", "view_00.png"])
     scene = datasets.load("npz", tmp_path / "a.npz", photographs=str(folder))
     assert sorted(scene.cameras) == ["view_00.png", "view_02.png"]
     np.testing.assert_allclose(scene.cameras["view_02.png"].c2w, room[2].camera.c2w, atol=1e-6)
@@ -104,22 +103,19 @@ def test_names_choose_among_more_photographs(folder, room, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("change", "refusal"),
     [
-        ({"poses": None}, "holds no cameras"),
-        ({"order": [1, 0, 2]}, "does not fit the photographs"),
-        ({"intrinsics": np.full((3, 3, 3), 1e-4)}, "focal length x is"),
-        ({"poses": np.eye(4)[None]}, "as many as maps"),
-        ({"poses": np.zeros((3, 4, 4))}, r"a\.npz: pose \d is singular"),
+        (lambda arrays: arrays.pop("poses"), "holds no cameras"),
+        (lambda arrays: arrays.update(poses=arrays["poses"][[1, 0, 2]]), "does not fit the photo"),
+        (lambda arrays: arrays.update(intrinsics=np.full((3, 3, 3), 1e-4)), "focal length x is"),
+        (lambda arrays: arrays.update(poses=np.eye(4)[None]), "as many as maps"),
+        (lambda arrays: arrays["poses"].fill(0), r"a\.npz: pose \d is singular"),
     ],
+    ids=["no poses", "poses swapped", "tiny focal length", "one pose of three", "zero poses"],
 )
-def test_what_fits_no_photograph_is_refused(folder, room, tmp_path, change, sentence):
-    arrays = {**seen_by_network(room, 504, 378), "poses": stacked(room, "c2w"), **change}
-    order = arrays.pop("order", None)
-    if order:
-        arrays["poses"] = arrays["poses"][order]
-    np.savez(
-        tmp_path / "a.npz", **{n: values for n, values in arrays.items() if values is not None}
-    )
-    with pytest.raises(InputError, match=sentence):
+def test_cameras_that_fit_no_photographs_are_refused(folder, room, tmp_path, change, refusal):
+    arrays = {**network_maps(room, 504, 378), "poses": stacked(room, "c2w")}
+    change(arrays)
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(InputError, match=refusal):
         datasets.load("npz", tmp_path / "a.npz", photographs=str(folder))

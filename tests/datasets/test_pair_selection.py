@@ -1,4 +1,4 @@
-"""Pairs of views: the best that fit beside each other or around a target, or why there is none."""
+"""Selection of view pairs along a clip and around targets, against plain searches."""
 
 from dataclasses import replace
 from itertools import combinations, pairwise
@@ -25,22 +25,27 @@ def camera(x=0.0, turn=0.0, z=0.0):
 
 
 def walk(count=20, step=0.1, turns=None, depth=4.0):
-    """Sideways steps past a wall."""
+    """Cameras that step sideways along a wall."""
     turns = np.zeros(count) if turns is None else turns
     cameras = [camera(step * i, turns[i]) for i in range(count)]
     ones = np.ones(count)
     return Views(cameras, depth * ones, 0.4 * ones, 0.5 * ones, 0 * ones)
 
 
-def seen(a: Camera, b: Camera, depth: float) -> np.ndarray:
-    """Whether the points of a grid over image ``a``, at a depth, project into ``b``: bool [81]."""
+def visible(a: Camera, b: Camera, depth: float) -> np.ndarray:
+    """Mask [81] of the points of a grid over image ``a``, at a depth, that project into ``b``."""
     n = 9
     u, v = np.meshgrid((np.arange(n) + 0.5) / n * a.width, (np.arange(n) + 0.5) / n * a.height)
     local = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(a.K).T
     return b.shows(*b.project(a.center + depth * local @ a.c2w[:3, :3].T))
 
 
-def test_samples_of_a_walk_fit_and_share_no_frame():
+def mutual_overlap(clip: Views, a: int, b: int) -> float:
+    pairs = (a, b), (b, a)
+    return min(visible(clip.cameras[i], clip.cameras[j], clip.depths[i]).mean() for i, j in pairs)
+
+
+def test_chosen_pairs_keep_the_bounds_and_share_no_frame():
     views, bounds = walk(40), Bounds()
     for frame, (name, value) in {3: ("blur", 0.7), 5: ("mean", 0.99), 8: ("clipped", 0.6)}.items():
         getattr(views, name)[frame] = value
@@ -53,11 +58,10 @@ def test_samples_of_a_walk_fit_and_share_no_frame():
     for pair in pairs:
         a, b = pair.context
         assert a < pair.targets[0] < pair.targets[1] < pair.targets[2] < b
-        one, two = views.cameras[a], views.cameras[b]
-        shared = min(seen(one, two, 4).mean(), seen(two, one, 4).mean())
-        baseline = np.linalg.norm(one.center - two.center) / 4
-        assert pair.overlap == pytest.approx(shared) and pair.baseline == pytest.approx(baseline)
-        assert bounds.min_overlap <= shared <= bounds.max_overlap
+        overlap = mutual_overlap(views, a, b)
+        baseline = np.linalg.norm(views.cameras[a].center - views.cameras[b].center) / 4
+        assert pair.overlap == pytest.approx(overlap) and pair.baseline == pytest.approx(baseline)
+        assert bounds.min_overlap <= overlap <= bounds.max_overlap
         assert bounds.min_baseline <= baseline <= bounds.max_baseline
     assert choose(views, bounds) == pairs
     assert choose(views, bounds.model_copy(update={"most": 2})) == sorted(
@@ -65,14 +69,15 @@ def test_samples_of_a_walk_fit_and_share_no_frame():
     )
 
 
-def test_overlaps_are_those_of_the_plain_function():
+def test_overlaps_equal_those_of_a_plain_function():
     rng = np.random.default_rng(3)
     cameras = [camera(x, t, z) for x, t, z in rng.uniform((-1, -60, -5), (1, 60, 5), (9, 3))] + [
         camera(turn=180)
     ]
     depths = rng.uniform(1, 6, len(cameras))
-    slow = [[seen(a, b, d).mean() for b in cameras] for a, d in zip(cameras, depths, strict=True)]
-    np.testing.assert_array_equal(overlaps(cameras, depths), slow)
+    rows = zip(cameras, depths, strict=True)
+    expected = [[visible(a, b, depth).mean() for b in cameras] for a, depth in rows]
+    np.testing.assert_array_equal(overlaps(cameras, depths), expected)
 
 
 intervals = st.tuples(st.integers(0, 15), st.integers(1, 8), st.floats(0.01, 1))
@@ -80,50 +85,54 @@ intervals = st.tuples(st.integers(0, 15), st.integers(1, 8), st.floats(0.01, 1))
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(intervals, max_size=9))
-def test_no_other_choice_scores_more(found):
-    pairs = [Pair((a, a + n), (), 0, 0, 0, score) for a, n, score in found]
+def test_schedule_has_the_highest_score_of_all_choices(spans):
+    pairs = [Pair((a, a + n), (), 0, 0, 0, score) for a, n, score in spans]
 
-    def apart(chosen):
-        spans = sorted(pair.context for pair in chosen)
+    def disjoint(choice):
+        spans = sorted(pair.context for pair in choice)
         return all(a[1] < b[0] for a, b in pairwise(spans))
 
     best = max(
-        sum(pair.score for pair in chosen)
+        sum(pair.score for pair in choice)
         for count in range(len(pairs) + 1)
-        for chosen in combinations(pairs, count)
-        if apart(chosen)
+        for choice in combinations(pairs, count)
+        if disjoint(choice)
     )
-    got = schedule(pairs)
-    assert apart(got)
-    assert sum(pair.score for pair in got) == pytest.approx(best)
+    scheduled = schedule(pairs)
+    assert disjoint(scheduled)
+    assert sum(pair.score for pair in scheduled) == pytest.approx(best)
 
 
-def test_why_there_is_none_is_said():
+def test_clip_without_a_pair_is_refused_with_the_reason():
     with pytest.raises(InputError, match=r"4 of its 4 views are sharp .* too few for a sample"):
         choose(walk(4), Bounds())
     still = walk(9, step=1e-3)
     with pytest.raises(InputError, match=r"baseline of 0.08 to 0.4 .* baselines up to 0.00"):
         choose(still, Bounds())
+    for narrow in (Bounds(min_overlap=0.95), Bounds(max_overlap=0.65, max_baseline=0.1)):
+        with pytest.raises(InputError, match=f"overlap of {narrow.min_overlap} to "):
+            choose(walk(40), narrow)
     with pytest.raises(InputError, match="no parallax"):
         choose(replace(still, depths=np.full(9, np.nan)), Bounds())
 
 
-def plain(clip: Views, target: int, barred, rule: Rule):
-    """The best pair by the rule, written out one pair after the other."""
+def best_pair(clip: Views, target: int, barred, rule: Rule):
+    """Search all pairs for the best by the rule: its score, views, cover and distance aside."""
     best = None
     usable = [i for i in range(len(clip.cameras)) if clip.usable(rule)[i]]
     for a, b in combinations([i for i in usable if i not in (target, *barred)], 2):
-        one, two, aim = (clip.cameras[i] for i in (a, b, target))
-        shared = min(seen(one, two, clip.depths[a]).mean(), seen(two, one, clip.depths[b]).mean())
-        apart = float(np.linalg.norm(one.center - two.center))
-        baseline = apart / (clip.depths[a] + clip.depths[b]) * 2
+        first, second, aim = (clip.cameras[i] for i in (a, b, target))
+        overlap = mutual_overlap(clip, a, b)
+        distance = float(np.linalg.norm(first.center - second.center))
+        baseline = distance / (clip.depths[a] + clip.depths[b]) * 2
         low, high = rule.min_overlap, rule.max_overlap
-        aside = float(np.linalg.norm((one.center + two.center) / 2 - aim.center)) / apart
-        cover = np.logical_or(*(seen(aim, eye, clip.depths[target]) for eye in (one, two))).mean()
-        fits = low <= shared <= high and rule.min_baseline <= baseline <= rule.max_baseline
+        aside = float(np.linalg.norm((first.center + second.center) / 2 - aim.center)) / distance
+        by_either = (visible(aim, eye, clip.depths[target]) for eye in (first, second))
+        cover = np.logical_or(*by_either).mean()
+        fits = low <= overlap <= high and rule.min_baseline <= baseline <= rule.max_baseline
         if not fits or aside > rule.max_aside or cover < rule.min_cover:
             continue
-        central = 1 - 0.5 * abs(shared - (low + high) / 2) / ((high - low) / 2)
+        central = 1 - 0.5 * abs(overlap - (low + high) / 2) / ((high - low) / 2)
         worst = (max(clip.blur[a], clip.blur[b]) - np.median(clip.blur)) / rule.max_blur
         value = central * (1 - 0.5 * min(max(worst, 0), 1)) * cover
         value *= 1 - 0.5 * aside / rule.max_aside
@@ -134,7 +143,7 @@ def plain(clip: Views, target: int, barred, rule: Rule):
 
 @settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**16), unordered=st.booleans())
-def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
+def test_surrounding_pair_is_the_best_of_a_plain_search(seed, unordered):
     rng = np.random.default_rng(seed)
     cameras = [
         camera(0.1 * i + rng.normal(0, 0.08), rng.normal(0, 6), rng.normal(0, 0.08))
@@ -147,13 +156,13 @@ def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
     )
     targets, barred = [3, 6], {5}
     rule = Rule(min_cover=0.8, max_aside=0.4)
-    for target, found in zip(targets, surround(clip, targets, barred, rule), strict=True):
-        best = plain(clip, target, {*targets, *barred}, rule)
+    for target, pair in zip(targets, surround(clip, targets, barred, rule), strict=True):
+        best = best_pair(clip, target, {*targets, *barred}, rule)
         if best is None:
-            assert "have it between them" in found
+            assert "have it between them" in pair
         else:
-            assert (found.context, found.targets) == (best[1], (target,))
-            measures = (found.score, found.cover, found.aside)
+            assert (pair.context, pair.targets) == (best[1], (target,))
+            measures = (pair.score, pair.cover, pair.aside)
             assert measures == pytest.approx((best[0], *best[2:]), rel=1e-9)
 
 
@@ -167,8 +176,8 @@ def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
         (walk(21, turns=60 * (np.arange(21) == 10)), "none sees 0.9 of it"),
     ],
 )
-def test_without_a_pair_the_reason_is_said(clip, reason):
+def test_target_without_a_surrounding_pair_gets_a_reason(clip, reason):
     target = min(10, len(clip.cameras) - 1)
     barred = {0} if len(clip.cameras) == 2 else set()
-    (found,) = surround(clip, [target], barred, Rule())
-    assert reason in found
+    (result,) = surround(clip, [target], barred, Rule())
+    assert reason in result

@@ -1,8 +1,10 @@
+"""Procedural rooms: determinism, depth and instances, phrases, placement of objects."""
+
 import itertools
 
 import numpy as np
 import pytest
-from implicit_solids import inside_below_zero
+from implicit_solids import implicit_value
 
 from slgaussian.datasets.procedural import names, reader
 from slgaussian.errors import InputError
@@ -20,30 +22,29 @@ def same(a: View, b: View) -> bool:
     )
 
 
-def test_a_seed_gives_the_same_bytes_whatever_the_order_and_threads():
-    first = reader.read(seed=3, **SMALL)
-    views = [first.read(name) for name in first.cameras]
-    again = reader.read(seed=3, **SMALL)
+def test_bytes_depend_on_the_seed_not_on_order_and_threads():
+    first, second = (reader.read(seed=3, **SMALL) for _ in range(2))
+    views = {name: first.read(name) for name in first.cameras}
     with kernels_on(1):
-        for name, view in reversed(list(zip(first.cameras, views, strict=True))):
-            assert same(again.read(name), view)
-    assert first.phrases == again.phrases
-    assert not same(reader.read(seed=4, **SMALL).read("view_00"), views[0])
+        for name in reversed(views):
+            assert same(second.read(name), views[name])
+    assert first.phrases == second.phrases
+    assert not same(reader.read(seed=4, **SMALL).read("view_00"), views["view_00"])
 
 
-def test_depth_and_ids_are_those_of_the_ray_through_the_pixel_centre():
+def test_depth_and_instances_lie_on_surfaces_at_pixel_centres():
     scene = reader.read(seed=5, height=208, width=288)
     view, room = scene.read("view_00"), scene.read.args[1]
     points = view.camera.unproject(view.depth)
     solids = [solid for thing in room.things for solid in thing.solids]
-    level = np.stack([inside_below_zero(solid, points) for solid in solids])
+    values = np.stack([implicit_value(solid, points) for solid in solids])
     # Depth is float32, 2e-7 of at most 6 m.
-    assert np.abs(level.min(0)).max() < 2e-6
-    owned = (np.abs(level) < 2e-6) & (room.owners()[:, None, None] == view.instances)
-    assert owned.any(0).all()
+    assert np.abs(values.min(0)).max() < 2e-6
+    on_instance = (np.abs(values) < 2e-6) & (room.owners()[:, None, None] == view.instances)
+    assert on_instance.any(0).all()
 
 
-def test_noise_and_exposure_change_the_photograph_and_nothing_else():
+def test_noise_and_exposure_change_only_the_photograph():
     settings = {"seed": 1, **SMALL}
     clean = reader.read(noise=0, exposure=0, **settings).read("view_01")
     noisy = reader.read(noise=0.02, exposure=0, **settings).read("view_01")
@@ -57,7 +58,7 @@ def test_noise_and_exposure_change_the_photograph_and_nothing_else():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_every_phrase_is_plain_and_no_two_could_be_confused(seed):
+def test_phrases_use_the_vocabulary_and_are_unambiguous(seed):
     phrases = list(reader.read(seed=seed, objects=10, **SMALL).phrases.values())
     assert len(set(phrases)) == len(phrases)
     looks = set()
@@ -71,34 +72,34 @@ def test_every_phrase_is_plain_and_no_two_could_be_confused(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_nothing_stands_inside_anything_else_or_floats(seed):
+def test_objects_neither_intersect_nor_float(seed):
     rng = np.random.default_rng(seed)
     things = reader.read(seed=seed, objects=12, **SMALL).read.args[1].things
     for a, b in itertools.permutations(things, 2):
         for solid in a.solids:
             points = solid.centre + rng.uniform(-1, 1, (4000, 3)) * solid.reach
-            within = points[inside_below_zero(solid, points) < 0]
-            for other in b.solids:
+            within = points[implicit_value(solid, points) < 0]
+            for obstacle in b.solids:
                 if len(within):
-                    depth = inside_below_zero(other, within).min()
+                    depth = implicit_value(obstacle, within).min()
                     assert depth > -1e-9, (a.phrase, b.phrase, depth)
     for thing in things[4:]:
         if thing.phrase == "picture":
             continue
         foot = min(thing.solids, key=lambda solid: solid.centre[2])
         points = foot.centre + rng.uniform(-1, 1, (20000, 3)) * foot.reach
-        lowest = points[inside_below_zero(foot, points) < 0][:, 2].min()
+        lowest = points[implicit_value(foot, points) < 0][:, 2].min()
         below = np.array((foot.centre[0], foot.centre[1], lowest - 0.03))
-        held = min(
-            inside_below_zero(solid, below) for b in things if b is not thing for solid in b.solids
+        support = min(
+            implicit_value(solid, below) for b in things if b is not thing for solid in b.solids
         )
-        assert held < 0, thing.phrase
+        assert support < 0, thing.phrase
 
 
 @pytest.mark.parametrize(
     ("argument", "value"),
     [("objects", 0), ("views", 1), ("height", 3), ("baseline", float("nan")), ("noise", -0.1)],
 )
-def test_an_argument_out_of_range_is_named(argument, value):
+def test_argument_out_of_range_is_refused_by_name(argument, value):
     with pytest.raises(InputError, match=f"procedural scene {argument}: found"):
         reader.read(**{argument: value})

@@ -1,4 +1,4 @@
-"""RealEstate10K: what is written comes back, and what is damaged costs itself alone."""
+"""RealEstate10K: the published format, round trips, damaged chunks, images and cameras."""
 
 import io
 import json
@@ -20,13 +20,9 @@ from slgaussian.scene import Camera
 
 @pytest.fixture(scope="module")
 def rooms():
-    return [
-        replace(
-            datasets.load("procedural", seed=seed, objects=3, views=3, height=36, width=64),
-            name=f"room{seed}",
-        )
-        for seed in range(3)
-    ]
+    size = {"objects": 3, "views": 3, "height": 36, "width": 64}
+    scenes = [datasets.load("procedural", seed=seed, **size) for seed in range(3)]
+    return [replace(scene, name=f"room{seed}") for seed, scene in enumerate(scenes)]
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +35,18 @@ def split(rooms, tmp_path_factory):
     return folder
 
 
-def test_a_scene_comes_back_as_written(rooms, split):
-    back = datasets.load("re10k", split, "room1")
-    assert back.name == "room1" and list(back.cameras) == ["0", "1", "2"]
-    for mine, theirs in zip(rooms[1].cameras, back.cameras, strict=True):
-        one, other = rooms[1].read(mine), back.read(theirs)
-        np.testing.assert_allclose(other.camera.K, one.camera.K, rtol=1e-6)
-        np.testing.assert_allclose(other.camera.c2w, one.camera.c2w, atol=2e-6)
-        assert np.abs(other.image.astype(int) - one.image).mean() < 3  # of 255: JPEG of noise
+def test_scene_survives_a_round_trip(rooms, split):
+    scene = datasets.load("re10k", split, "room1")
+    assert scene.name == "room1" and list(scene.cameras) == ["0", "1", "2"]
+    originals = map(rooms[1].read, rooms[1].cameras)
+    for original, restored in zip(originals, map(scene.read, scene.cameras), strict=True):
+        np.testing.assert_allclose(restored.camera.K, original.camera.K, rtol=1e-6)
+        np.testing.assert_allclose(restored.camera.c2w, original.camera.c2w, atol=2e-6)
+        # Of 255: the JPEG of a noisy image.
+        assert np.abs(restored.image.astype(int) - original.image).mean() < 3
 
 
-def test_the_format_is_the_published_one(split):
+def test_chunks_and_index_have_the_published_format(split):
     index = json.loads((split / "index.json").read_text())
     assert index == {"room0": "000000.torch", "room1": "000000.torch", "room2": "000001.torch"}
     (entry,) = torch.load(split / "000001.torch", weights_only=True)
@@ -61,7 +58,7 @@ def test_the_format_is_the_published_one(split):
     assert entry["cameras"][0, :4].tolist() == pytest.approx([0.9, 0.9 * 64 / 36, 0.5, 0.5])
 
 
-def test_more_clips_are_new_chunks_and_the_same_clips_the_same_bytes(rooms, split, tmp_path):
+def test_added_clips_make_new_chunks_and_equal_clips_equal_bytes(rooms, split, tmp_path):
     clips = [re10k.clip_of(room) for room in rooms]
     assert re10k.write(tmp_path, clips[:2]) == ["000000.torch"]
     assert (tmp_path / "000000.torch").read_bytes() == (split / "000000.torch").read_bytes()
@@ -79,32 +76,32 @@ def test_more_clips_are_new_chunks_and_the_same_clips_the_same_bytes(rooms, spli
     st.floats(0.3, 3),
     st.floats(0.2, 0.8),
 )
-def test_cameras_survive_the_row(turn, place, focal, middle):
+def test_cameras_survive_a_round_trip(turn, place, focal, middle):
     c2w = np.eye(4)
     c2w[:3, :3] = Rotation.from_quat(turn).as_matrix()
     c2w[:3, 3] = place
     K = np.array([[focal * 640, 0, middle * 640], [0, focal * 700, 170], [0, 0, 1]])
-    back = re10k.camera_of(re10k.row_of(Camera(K, c2w, 640, 360)), 640, 360)
-    np.testing.assert_allclose(back.K, K, rtol=1e-6)
-    np.testing.assert_allclose(back.c2w, c2w, atol=1e-5)  # float32 of places up to 10
+    restored = re10k.camera_of(re10k.row_of(Camera(K, c2w, 640, 360)), 640, 360)
+    np.testing.assert_allclose(restored.K, K, rtol=1e-6)
+    np.testing.assert_allclose(restored.c2w, c2w, atol=1e-5)  # float32 of positions up to 10
 
 
-def test_a_chunk_that_is_cut_short_or_runs_code_is_one_sentence(split, tmp_path):
+def test_truncated_or_malicious_chunk_is_refused(split, tmp_path):
     class Evil:
         def __reduce__(self):
             return (tmp_path.joinpath("ran").touch, ())
 
-    data, packed = (split / "000000.torch").read_bytes(), io.BytesIO()
-    torch.save([{"key": Evil()}], packed)
-    bad = [data[: int(share * len(data))] for share in (0.0, 0.3, 0.99)]
-    for content in (*bad, packed.getvalue(), pickle.dumps([{"key": Evil()}])):
+    data, payload = (split / "000000.torch").read_bytes(), io.BytesIO()
+    torch.save([{"key": Evil()}], payload)
+    truncated = [data[: int(share * len(data))] for share in (0.0, 0.3, 0.99)]
+    for content in (*truncated, payload.getvalue(), pickle.dumps([{"key": Evil()}])):
         (tmp_path / "x.torch").write_bytes(content)
         with pytest.raises(InputError, match=r"x\.torch: cannot be read as a chunk"):
             re10k.read_chunk(tmp_path / "x.torch")
     assert not (tmp_path / "ran").exists()
 
 
-def test_what_is_wrong_in_a_chunk_is_named(split, tmp_path):
+def test_invalid_clip_in_a_chunk_is_refused(split, tmp_path):
     (entry,) = torch.load(split / "000001.torch", weights_only=True)
     for change in (
         {"key": 3},
@@ -122,7 +119,7 @@ def test_what_is_wrong_in_a_chunk_is_named(split, tmp_path):
         re10k.read_chunk(tmp_path / "x.torch")
 
 
-def test_a_damaged_image_costs_its_own_view(split):
+def test_damaged_image_loses_only_its_own_view(split):
     clip = re10k.read_chunk(split / "000001.torch")[0]
     images = (clip.images[0][: len(clip.images[0]) // 2], b"no image", clip.images[2])
     scene = replace(clip, images=images).scene()
@@ -135,9 +132,9 @@ def test_a_damaged_image_costs_its_own_view(split):
         replace(clip, images=(b"x",) * 3).scene()
 
 
-@pytest.mark.parametrize(("at", "value"), [(6, 3.0), (9, np.nan), (0, -1.0)])
-def test_a_camera_that_is_none_is_named(split, at, value):
+@pytest.mark.parametrize(("column", "value"), [(6, 3.0), (9, np.nan), (0, -1.0)])
+def test_invalid_camera_is_refused_by_clip_and_frame(split, column, value):
     clip = re10k.read_chunk(split / "000001.torch")[0]
-    clip.cameras[1, at] = value
+    clip.cameras[1, column] = value
     with pytest.raises(InputError, match="clip 'room2', frame 1: "):
         clip.scene()

@@ -1,11 +1,11 @@
-"""Cameras of every format that holds files are known, and anything else is named."""
+"""Recognition of camera formats by their files, and of the photographs that belong to them."""
 
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
 from flows.cli.photographs import find_views
@@ -13,16 +13,21 @@ from slgaussian import datasets
 from slgaussian.datasets.photographs import open_photograph, stored_size
 from slgaussian.datasets.recognise import cameras_in, posed_scene, recognise
 from slgaussian.errors import InputError
+from slgaussian.scene import View
 from tests.flows.command import write_photographs
 
 NAMES = ("a.png", "b.png")
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Two photographs and their cameras in three formats, each in a folder of its own."""
+def views() -> list[View]:
     room = datasets.load("procedural", views=2, height=48, width=64)
-    views = [room.read(name) for name in room.cameras]
+    return [room.read(name) for name in room.cameras]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, views: list[View]) -> Path:
+    """Two photographs and their cameras in three formats, each in a folder of its own."""
     photographs = {f"images/{name}": view for name, view in zip(NAMES, views, strict=True)}
     for kind in ("nerf", "llff", "colmap"):
         write_photographs(tmp_path / kind, photographs)
@@ -47,31 +52,28 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "given",
+    "path",
     ["nerf", "nerf/transforms.json", "llff", "llff/poses_bounds.npy", "colmap", "colmap/sparse"]
     + ["colmap/sparse/0", "colmap/sparse/0/images.txt"],
 )
-def test_every_format_gives_the_same_sample(folder, given):
-    kind = given.split("/")[0]
-    photographs = [str(folder / kind / "images" / name) for name in NAMES]
-    scene, start = posed_scene(folder / given, photographs)
+def test_every_format_gives_the_same_sample(folder, views, path):
+    photographs = [str(folder / path.split("/")[0] / "images" / name) for name in NAMES]
+    scene, start = posed_scene(folder / path, photographs)
     files = {(start / name).resolve(): name for name in scene.cameras}
     sample = scene.sample([files[Path(p).resolve()] for p in photographs])
-    room = datasets.load("procedural", views=2, height=48, width=64)
-    for view, name in zip(sample.context, room.cameras, strict=True):
-        true = room.read(name)
-        np.testing.assert_array_equal(view.image, true.image)
-        np.testing.assert_allclose(view.camera.c2w, true.camera.c2w, atol=1e-9)
-        np.testing.assert_allclose(view.camera.K, true.camera.K, atol=1e-9)
-    assert len(cameras_in(folder / given)) == 2
+    for view, expected in zip(sample.context, views, strict=True):
+        np.testing.assert_array_equal(view.image, expected.image)
+        np.testing.assert_allclose(view.camera.c2w, expected.camera.c2w, atol=1e-9)
+        np.testing.assert_allclose(view.camera.K, expected.camera.K, atol=1e-9)
+    assert len(cameras_in(folder / path)) == 2
 
 
-@pytest.mark.parametrize("kind", ["nerf", "llff/poses_bounds.npy", "colmap/sparse/0"])
-def test_a_folder_stands_for_its_photographs_that_have_a_camera(folder, kind):
-    root = folder / kind.split("/")[0]
-    for place in (root, root / "images"):
-        scene, start = posed_scene(folder / kind, [str(place)])
-        views = find_views(scene, [str(place)], start)
+@pytest.mark.parametrize("path", ["nerf", "llff/poses_bounds.npy", "colmap/sparse/0"])
+def test_folder_selects_its_photographs_that_have_a_camera(folder, path):
+    root = folder / path.split("/")[0]
+    for selected in (root, root / "images"):
+        scene, start = posed_scene(folder / path, [str(selected)])
+        views = find_views(scene, [str(selected)], start)
         assert [Path(name).name for name, _ in views] == list(NAMES)
         assert [file.resolve() for _, file in views] == [root / "images" / n for n in NAMES]
     (folder / "empty").mkdir()
@@ -79,35 +81,32 @@ def test_a_folder_stands_for_its_photographs_that_have_a_camera(folder, kind):
         find_views(scene, [str(folder / "empty")], start)
 
 
-def test_photographs_of_a_model_may_be_elsewhere_in_several_folders(folder):
-    images, elsewhere = folder / "colmap/sparse/0/images.txt", folder / "elsewhere"
-    images.write_text(images.read_text().replace("a.png", "x/a.png").replace("b.png", "y/b.png"))
-    for name in ("x/a.png", "y/b.png"):
-        (elsewhere / name).parent.mkdir(parents=True)
-        (folder / "nerf/images" / Path(name).name).rename(elsewhere / name)
-    (folder / "colmap/images").rename(folder / "unused")
-    scene, start = posed_scene(
-        folder / "colmap", [str(elsewhere / "x/a.png"), str(elsewhere / "y")]
-    )
+@pytest.mark.parametrize(
+    ("names", "paths"),
+    [(["x/a.png", "y/b.png"], ["x/a.png", "y"]), (["x/a.png", "x/b.jpg"], ["x/b.png"])],
+    ids=["two subfolders", "one subfolder"],
+)
+def test_photographs_of_a_model_may_lie_in_another_folder(folder, names, paths):
+    model, elsewhere = folder / "colmap/sparse/0/images.txt", folder / "elsewhere"
+    text = model.read_text()
+    for name, stored in zip(NAMES, names, strict=True):
+        text = text.replace(name, stored)
+        file = (elsewhere / stored).with_name(name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        (folder / "colmap/images" / name).rename(file)
+    (folder / "colmap/images").rmdir()
+    model.write_text(text)
+    scene, start = posed_scene(folder / "colmap", [str(elsewhere / path) for path in paths])
     assert start == elsewhere
-    assert [scene.read(name).name for name in scene.cameras] == ["x/a.png", "y/b.png"]
-
-
-def test_photographs_of_a_model_may_be_elsewhere_in_one_folder_below_its_own(folder):
-    images, elsewhere = folder / "colmap/sparse/0/images.txt", folder / "elsewhere"
-    images.write_text(images.read_text().replace("a.png", "x/a.png").replace("b.png", "x/b.jpg"))
-    elsewhere.mkdir()
-    (folder / "colmap/images").rename(elsewhere / "x")
-    scene, start = posed_scene(folder / "colmap", [str(elsewhere / "x/b.png")])
-    assert start == elsewhere
-    assert [scene.read(name).name for name in scene.cameras] == ["x/a.png", "x/b.jpg"]
-    shutil.copytree(elsewhere / "x", elsewhere / "x/x")  # the nearest folder that fits is taken
-    files = [str(elsewhere / place / "b.png") for place in ("x", "x/x")]
-    assert posed_scene(folder / "colmap", files)[1] == elsewhere / "x"
+    assert [scene.read(name).name for name in scene.cameras] == names
+    if len(paths) == 1:
+        shutil.copytree(elsewhere / "x", elsewhere / "x/x")  # The nearest folder that fits wins.
+        files = [str(elsewhere / subfolder / "b.png") for subfolder in ("x", "x/x")]
+        assert posed_scene(folder / "colmap", files)[1] == elsewhere / "x"
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "refusal"),
     [
         (lambda p: None, "No such file"),
         (lambda p: p.mkdir(), "holds no cameras but nothing"),
@@ -116,18 +115,18 @@ def test_photographs_of_a_model_may_be_elsewhere_in_one_folder_below_its_own(fol
     ],
     ids=["nothing", "empty", "json", "text"],
 )
-def test_anything_else_is_one_clear_sentence(tmp_path, make, said):
+def test_path_without_cameras_is_refused(tmp_path, make, refusal):
     make(tmp_path / "x")
-    with pytest.raises(InputError, match=r"expected transforms\.json") as refused:
+    with pytest.raises(InputError, match=r"expected transforms\.json") as error:
         recognise(tmp_path / "x")
-    assert said in str(refused.value) and str(tmp_path / "x") in str(refused.value)
+    assert refusal in str(error.value) and str(tmp_path / "x") in str(error.value)
 
 
-def test_a_turned_photograph_is_read_as_its_camera_saw_it(tmp_path):
+def test_turned_photograph_is_read_in_the_orientation_of_its_camera(tmp_path):
     stored = np.zeros((40, 60, 3), np.uint8)
-    stored[:20, :30] = 255  # bright at the top left as stored
+    stored[:20, :30] = 255
     exif = Image.Exif()
-    exif[0x0112] = 6  # to be turned clockwise
+    exif[ExifTags.Base.Orientation] = 6  # stored turned left by 90 degrees
     file = tmp_path / "a.png"
     Image.fromarray(stored).save(file, exif=exif)
     np.testing.assert_array_equal(open_photograph(file, (60, 40))[0], stored)
@@ -135,5 +134,5 @@ def test_a_turned_photograph_is_read_as_its_camera_saw_it(tmp_path):
     upright = np.rot90(stored, -1)
     np.testing.assert_array_equal(open_photograph(file, (40, 60))[0], upright)
     assert stored_size(file, (80, 120)) == (40, 60) and stored_size(file) == (60, 40)
-    Image.fromarray(stored).save(file)  # without the tag nothing is guessed
+    Image.fromarray(stored).save(file)  # Without the tag, pixels stay as stored.
     np.testing.assert_array_equal(open_photograph(file, (40, 60))[0], stored)

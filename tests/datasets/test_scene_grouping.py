@@ -1,4 +1,4 @@
-"""Clips of one place are known by what was said, by their video and by shared photographs."""
+"""Grouping of clips into places by declared names, videos and shared photographs."""
 
 import hashlib
 import itertools
@@ -13,30 +13,29 @@ def digest(name) -> str:
     return hashlib.sha256(str(name).encode()).hexdigest()
 
 
-def test_what_is_said_goes_before_videos_and_these_before_clips():
-    places = Places()
+def test_declared_name_precedes_video_and_video_precedes_clip():
+    places, video = Places(), "https://video/b"
     places.add("a", [digest(1)], "office")
     places.add("b", [digest(2)])
     places.add("c", [digest(2), digest(3)])
     places.add("d")
     places.add("e")
-    places.seen_in("b", "https://video/b")
-    places.seen_in("e", "https://video/b")
+    places.seen_in("b", video)
+    places.seen_in("e", video)
     places.seen_in("d", "")
-    video = "https://video/b"
     assert places.by_clip() == {"a": "office", "b": video, "c": video, "d": "d", "e": video}
 
 
 @given(st.permutations(range(6)), st.lists(st.sets(st.integers(0, 8)), min_size=6, max_size=6))
-def test_the_order_of_arrival_plays_no_part(order, photographs):
-    def found(numbers):
+def test_grouping_does_not_depend_on_the_order_of_clips(order, photographs):
+    def group(numbers):
         places = Places()
         for number in numbers:
             places.add(f"clip {number}", map(digest, photographs[number]))
         return places.by_clip()
 
-    expected = found(range(6))
-    assert found(order) == expected
+    expected = group(range(6))
+    assert group(order) == expected
     for a, b in itertools.combinations(range(6), 2):
         if photographs[a] & photographs[b]:
             assert expected[f"clip {a}"] == expected[f"clip {b}"]

@@ -1,4 +1,4 @@
-"""Shards are tar files that anybody reads, and depend on their content alone."""
+"""Shards: standard tar files of samples, and keys of samples."""
 
 import io
 import tarfile
@@ -15,23 +15,25 @@ MEMBERS = st.dictionaries(ENDINGS, st.binary(max_size=2000), min_size=1, max_siz
 
 @settings(max_examples=25)
 @given(st.dictionaries(st.text(min_size=1, max_size=90), MEMBERS, min_size=1, max_size=3))
-def test_what_is_packed_is_unpacked_and_read_by_tarfile(samples):
+def test_packed_samples_are_read_by_unpack_and_tarfile(samples):
     parts = {name: pack(key_of(name), members) for name, members in samples.items()}
+    expected = {}
     for name, members in samples.items():
         assert unpack(parts[name]) == members
         assert len(parts[name]) % tarfile.BLOCKSIZE == 0
+        expected |= {f"{key_of(name)}.{ending}": data for ending, data in members.items()}
     with tarfile.open(fileobj=io.BytesIO(b"".join(parts.values()) + END_OF_ARCHIVE)) as archive:
-        found = {about.name: archive.extractfile(about).read() for about in archive}
-    assert found == {f"{key_of(n)}.{e}": d for n, own in samples.items() for e, d in own.items()}
+        files = {member.name: archive.extractfile(member).read() for member in archive}
+    assert files == expected
 
 
 @given(st.text(min_size=1), st.text(min_size=1))
-def test_keys_have_no_dots_or_folders_and_differ_as_names_do(one, other):
-    assert not set("./\\ ") & set(key_of(one)) and key_of(one).isascii()
-    assert (key_of(one) == key_of(other)) == (one == other)
+def test_keys_are_plain_ascii_and_unique(first, second):
+    assert not set("./\\ ") & set(key_of(first)) and key_of(first).isascii()
+    assert (key_of(first) == key_of(second)) == (first == second)
     assert key_of("office_walk-2") == "office_walk-2"
 
 
-def test_what_is_no_tar_file_is_refused():
+def test_data_other_than_tar_are_refused():
     with pytest.raises(ValueError):
         unpack(b"no tar file at all" * 100)

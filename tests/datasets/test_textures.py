@@ -1,3 +1,5 @@
+"""Textures of solids: patterns without seams, pictures upright."""
+
 import math
 
 import numpy as np
@@ -19,7 +21,7 @@ def colour(material: Material, kind: int, size: tuple[float, ...], point) -> np.
 
 
 def on_round(kind: int, angle: float, up: float) -> tuple[tuple[float, ...], np.ndarray]:
-    """A size, and the surface point of a round solid of that size at a longitude and a height."""
+    """Return a size, and the surface point of such a solid at a longitude and a height."""
     size, rho, z = {
         BALL: ((0.5,), math.sqrt(0.25 - (0.5 * up) ** 2), 0.5 * up),
         CYLINDER: ((0.4, 0.5), 0.4, 0.5 * up),
@@ -35,9 +37,9 @@ def on_round(kind: int, angle: float, up: float) -> tuple[tuple[float, ...], np.
     cell=st.floats(0.04, 0.3),
     up=st.floats(-0.9, 0.9),
 )
-def test_patterns_close_around_round_things_without_a_seam(kind, pattern, cell, up):
+def test_patterns_close_around_round_solids_without_a_seam(kind, pattern, cell, up):
     # u is periodic with whole cells, so the seam at longitude pi is a cell edge for checks and for
-    # a ring's stripes, and the colour there changes as at every other edge; two cells on it agrees.
+    # a ring's stripes, at which the colour changes as at every other edge.
     material = Material(pattern, (0.8, 0.1, 0.1), (0.1, 0.1, 0.8), cell)
     sides = []
     for angle in (math.pi - 1e-7, -math.pi + 1e-7):
@@ -48,13 +50,13 @@ def test_patterns_close_around_round_things_without_a_seam(kind, pattern, cell, 
     assert red[0] != red[1] if edge else red[0] == red[1]
 
 
-def test_a_picture_hangs_the_right_way_up_and_round():
+def test_picture_is_upright_and_not_mirrored():
     material = Material(textures.PICTURE, (0, 0, 0), photo="astronaut")
     photos = textures.pack([material], np.random.default_rng(0)).photos
     photo = photos[textures.PHOTOS.index("astronaut")]
     # Seen from -y with z up, x runs to the right.
     for u, v in ((0.3, 0.25), (0.7, 0.25), (0.3, 0.75), (0.55, 0.6)):
-        seen = colour(material, BOX, (1.0, 0.01, 1.0), (2 * u - 1, -0.01, 2 * v - 1))
+        actual = colour(material, BOX, (1.0, 0.01, 1.0), (2 * u - 1, -0.01, 2 * v - 1))
         row, col = (1 - v) * len(photo), u * len(photo)
         patch = photo[int(row) - 1 : int(row) + 1, int(col) - 1 : int(col) + 1]
-        assert seen == pytest.approx(patch.mean((0, 1)), abs=0.08)
+        assert actual == pytest.approx(patch.mean((0, 1)), abs=0.08)

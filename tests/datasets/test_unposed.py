@@ -1,4 +1,4 @@
-"""A folder of photographs and nothing else is a scene, however they were stored."""
+"""Scenes of photographs without cameras, read from folders, files and memory."""
 
 import shutil
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from taken_photographs import stereo_pair, taken
+from taken_photographs import stereo_pair, write_photograph
 
 import slgaussian as slg
 from slgaussian import datasets
@@ -16,8 +16,8 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
 
 
-def made_up(photographs):
-    """Cameras side by side, looking ahead: what is found is the finder's own affair."""
+def side_by_side(photographs):
+    """Return cameras side by side that look ahead, in place of those of :func:`find_cameras`."""
     cameras, focals = {}, {}
     for number, photo in enumerate(photographs):
         f = photo.focal or 0.8 * max(photo.width, photo.height)
@@ -32,13 +32,13 @@ def made_up(photographs):
 
 
 @pytest.fixture
-def asked(monkeypatch):
-    """What the finder was asked for, whose answer is made up."""
+def find_calls(monkeypatch):
+    """Names of photographs in every call of the replaced :func:`find_cameras`."""
     calls = []
 
     def find(photographs):
         calls.append([photograph.name for photograph in photographs])
-        return made_up(photographs)
+        return side_by_side(photographs)
 
     monkeypatch.setattr(unposed, "find_cameras", find)
     unposed._find.cache_clear()
@@ -54,12 +54,12 @@ def pair():
 @pytest.fixture
 def folder(tmp_path, pair):
     (tmp_path / "photos").mkdir()
-    taken(tmp_path / "photos/b.png", pair[1], 6)
-    taken(tmp_path / "photos/a.png", pair[0], 8)
+    write_photograph(tmp_path / "photos/b.png", pair[1], 6)
+    write_photograph(tmp_path / "photos/a.png", pair[0], 8)
     return tmp_path / "photos"
 
 
-def test_a_folder_is_a_scene_of_upright_photographs(folder, pair, asked):
+def test_folder_of_turned_photographs_is_a_scene_of_upright_ones(folder, pair, find_calls):
     scene = datasets.load("photographs", folder)
     assert scene.name == "photos" and list(scene.cameras) == ["a.png", "b.png"]
     for name, picture in zip(scene.cameras, pair, strict=True):
@@ -74,47 +74,47 @@ def test_a_folder_is_a_scene_of_upright_photographs(folder, pair, asked):
         assert view.camera.estimated == Estimated((0.9, 1.1), "guess", 0.75)
     files, _ = datasets.inputs("photographs", folder, ["a.png"])
     assert files == [folder / "a.png", folder / "b.png"]
-    # Cameras are found once, and anew when a photograph or the order changes.
+    # Cameras are estimated once per photographs and order, and anew when either changes.
     datasets.load("photographs", [folder / "a.png", folder / "b.png"])
-    assert asked == [["a.png", "b.png"]]
+    assert find_calls == [["a.png", "b.png"]]
     datasets.load("photographs", [folder / "b.png", folder / "a.png"])
-    assert asked[1:] == [["b.png", "a.png"]]
+    assert find_calls[1:] == [["b.png", "a.png"]]
     shutil.copy(folder / "a.png", folder / "b.png")
     datasets.load("photographs", folder)
-    assert len(asked) == 3
+    assert len(find_calls) == 3
 
 
-def test_only_those_that_are_named_are_taken_of_a_folder(folder, asked):
+def test_option_only_selects_photographs_of_a_folder(folder, find_calls):
     shutil.copy(folder / "a.png", folder / "c.png")
     only = ["b.png", "a.png"]
     scene = datasets.load("photographs", folder, only=only)
-    assert asked == [only] and list(scene.cameras) == only
+    assert find_calls == [only] and list(scene.cameras) == only
     named, _ = datasets.inputs("photographs", folder, ["b.png"], only=only)
     assert named == [folder / "b.png", folder / "a.png"]
     with pytest.raises(InputError, match=r"d\.png"):
         datasets.load("photographs", folder, only=["a.png", "d.png"])
 
 
-def test_photographs_in_python(folder, asked):
+@pytest.mark.usefixtures("find_calls")
+def test_python_function_keeps_order_and_tells_equal_names_apart(folder):
     sample = slg.photographs(folder / "b.png", folder / "a.png", near=0.5, far=9.0)
     assert [view.name for view in sample.context] == ["b.png", "a.png"]
     assert (sample.context[0].camera.near, sample.context[0].camera.far) == (0.5, 9.0)
-    other = folder.parent / "other"
-    shutil.copytree(folder, other)
-    sample = slg.photographs(folder / "a.png", other / "b.png")
+    second_folder = shutil.copytree(folder, folder.parent / "other")
+    sample = slg.photographs(folder / "a.png", second_folder / "b.png")
     assert [view.name for view in sample.context] == ["photos/a.png", "other/b.png"]
 
 
-def test_images_in_memory_are_photographs_too(tmp_path, pair, asked):
-    files = [taken(tmp_path / f"{n}.jpg", p, 6) for n, p in zip("ab", pair, strict=True)]
-    stored = slg.photographs(files, size="original")
-    pictures = [Image.open(file) for file in files]
-    for images in (pictures, [view.image for view in stored.context]):
-        again = slg.photographs(*images, size="original").context
-        assert [view.name for view in again] == ["image_0", "image_1"]
-        for view, known in zip(again, stored.context, strict=True):
-            np.testing.assert_array_equal(view.image, known.image)
-            np.testing.assert_array_equal(view.camera.K, known.camera.K)
+@pytest.mark.usefixtures("find_calls")
+def test_images_in_memory_equal_those_of_files(tmp_path, pair):
+    files = [write_photograph(tmp_path / f"{n}.jpg", p, 6) for n, p in zip("ab", pair, strict=True)]
+    stored = slg.photographs(files, size="original").context
+    for images in ([Image.open(file) for file in files], [view.image for view in stored]):
+        views = slg.photographs(*images, size="original").context
+        assert [view.name for view in views] == ["image_0", "image_1"]
+        for view, expected in zip(views, stored, strict=True):
+            np.testing.assert_array_equal(view.image, expected.image)
+            np.testing.assert_array_equal(view.camera.K, expected.camera.K)
     for images, message in [
         ((pair[0], "b.jpg"), "image 1 is a str; expected paths alone"),
         ((pair[0] / 255, pair[1]), "image 0 is a ndarray of float64"),
@@ -125,7 +125,7 @@ def test_images_in_memory_are_photographs_too(tmp_path, pair, asked):
 
 
 @pytest.mark.parametrize(
-    ("places", "said"),
+    ("files", "refusal"),
     [
         (["a.png"], r"found .*a\.png, expected at least two"),
         ([], "found nothing, expected at least two"),
@@ -135,16 +135,17 @@ def test_images_in_memory_are_photographs_too(tmp_path, pair, asked):
         (["empty", "a.png"], "empty: holds no photographs"),
     ],
 )
-def test_what_cannot_be_used_is_named(folder, asked, places, said):
+@pytest.mark.usefixtures("find_calls")
+def test_unusable_photographs_are_refused_by_name(folder, files, refusal):
     (folder / "text.jpg").write_text("no picture")
     (folder / "empty").mkdir()
-    with pytest.raises(InputError, match=said):
-        slg.photographs(*(folder / place for place in places))
+    with pytest.raises(InputError, match=refusal):
+        slg.photographs(*(folder / file for file in files))
 
 
-def test_an_ordinary_pair_with_the_real_finder(tmp_path):
-    left, right = stereo_pair()
-    files = [taken(tmp_path / "a.jpg", left, 6), taken(tmp_path / "b.jpg", right, 6)]
+def test_cameras_of_a_stereo_pair_are_estimated(tmp_path):
+    pair = zip(("a.jpg", "b.jpg"), stereo_pair(), strict=True)
+    files = [write_photograph(tmp_path / name, pixels, 6) for name, pixels in pair]
     sample = slg.photographs(*files, size=(120, 176))
     first, second = (view.camera for view in sample.context)
     np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-9)
