@@ -1,4 +1,4 @@
-"""The field on a scene with an exact truth: a wall of three colours, and a square before it."""
+"""A field of a scene of known geometry: a wall of three colours, and a square in front of it."""
 
 import json
 import shutil
@@ -18,8 +18,8 @@ from tests.square import BLUE, COLOURS, GREEN, RED, YELLOW, camera, looked, squa
 
 NEW = camera(0.05)
 true_ids, true_depth = looked(NEW)
-AWAY = ndimage.maximum_filter(true_ids, 7) == ndimage.minimum_filter(true_ids, 7)
-"""Where no border of two objects mixes their light."""
+INTERIOR = ndimage.maximum_filter(true_ids, 7) == ndimage.minimum_filter(true_ids, 7)
+"""Pixels where no border of two objects mixes their light."""
 
 
 @pytest.fixture(scope="module")
@@ -27,28 +27,28 @@ def field() -> SemanticField:
     return square_field("grid")
 
 
-def test_a_new_view_shows_the_right_colours_ids_and_depth(field):
-    seen = field.render(NEW)
-    assert (seen.ids == true_ids)[AWAY].all()
-    colours = np.array([COLOURS[label] for label in true_ids[AWAY]])
-    assert np.abs(seen.rgb[AWAY].astype(int) - colours).max() <= 2
-    assert np.abs(seen.depth - true_depth)[AWAY].max() < 1e-3
+def test_novel_view_has_true_colours_ids_and_depth(field):
+    view = field.render(NEW)
+    assert (view.ids == true_ids)[INTERIOR].all()
+    colours = np.array([COLOURS[label] for label in true_ids[INTERIOR]])
+    assert np.abs(view.rgb[INTERIOR].astype(int) - colours).max() <= 2
+    assert np.abs(view.depth - true_depth)[INTERIOR].max() < 1e-3
 
 
-def test_words_find_their_part(field):
-    seen = field.render(NEW)
+def test_words_find_their_objects(field):
+    view = field.render(NEW)
     for text, label in (("red", RED), ("blue wall", BLUE), ("yellow", YELLOW)):
-        hit, truth = seen.query(text), true_ids == label
+        hit, truth = view.query(text), true_ids == label
         assert (hit.mask & truth).sum() / (hit.mask | truth).sum() > 0.8
         assert true_ids[hit.point[1], hit.point[0]] == label == hit.objects[0][0]
-    segments = seen.segment(["blue", "red"])
+    segments = view.segment(["blue", "red"])
     for label, word in ((BLUE, 1), (RED, 2)):
-        assert (segments == word)[AWAY & (true_ids == label)].mean() > 0.97
-    words = {thing.id: thing.words[0][0] for thing in field.inventory(["blue", "red"])}
+        assert (segments == word)[INTERIOR & (true_ids == label)].mean() > 0.97
+    words = {item.id: item.words[0][0] for item in field.inventory(["blue", "red"])}
     assert (words[RED], words[BLUE]) == ("red", "blue")
 
 
-def test_arguments_of_the_wrong_type_are_refused(field, tmp_path):
+def test_arguments_of_wrong_types_are_refused(field, tmp_path):
     view = field.render(NEW)
     for call, message in [
         (lambda: field.render("a.jpg"), "render: expected a Camera.*found a str"),
@@ -61,12 +61,12 @@ def test_arguments_of_the_wrong_type_are_refused(field, tmp_path):
             call()
 
 
-def test_cameras_that_were_found_say_so_in_a_saved_field(field, tmp_path):
-    said = Estimated((0.9, 1.2), "EXIF", 0.8)
-    cameras = {**field.cameras, "a": replace(field.cameras["a"], estimated=said)}
+def test_estimated_cameras_are_saved_as_estimated(field, tmp_path):
+    estimate = Estimated((0.9, 1.2), "EXIF", 0.8)
+    cameras = {**field.cameras, "a": replace(field.cameras["a"], estimated=estimate)}
     replace(field, cameras=cameras).save(tmp_path / "field")
-    again = SemanticField.load(tmp_path / "field")
-    assert [again.cameras[name].estimated for name in "ab"] == [said, None]
+    restored = SemanticField.load(tmp_path / "field")
+    assert [restored.cameras[name].estimated for name in "ab"] == [estimate, None]
     file = tmp_path / "field/field.json"
     content = json.loads(file.read_text())
     assert "estimated" not in content["cameras"]["b"]
@@ -76,67 +76,73 @@ def test_cameras_that_were_found_say_so_in_a_saved_field(field, tmp_path):
         SemanticField.load(tmp_path / "field")
 
 
-def test_saving_twice_gives_the_same_bytes_which_say_what_they_are(field, tmp_path):
-    for name in ("one", "two", "two"):
-        field.save(tmp_path / name)
-    for file in (tmp_path / "one").iterdir():
-        assert file.read_bytes() == (tmp_path / "two" / file.name).read_bytes()
-    about = json.loads((tmp_path / "one/field.json").read_text())
-    assert about["format"] == 1 and about["made_by"].startswith("slgaussian ")
-    assert about["settings"] == field.settings and list(about["cameras"]) == ["a", "b"]
-    files = {file.name for file in (tmp_path / "one").iterdir()}
-    assert {*about["files"], "field.json"} == files
+def test_saved_files_are_reproducible_and_described(field, tmp_path):
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (first, second, second):
+        field.save(folder)
+    files = {file.name: file.read_bytes() for file in first.iterdir()}
+    assert files == {file.name: file.read_bytes() for file in second.iterdir()}
+    content = json.loads(files["field.json"])
+    assert content["format"] == 1 and content["made_by"].startswith("slgaussian ")
+    assert content["settings"] == field.settings and list(content["cameras"]) == ["a", "b"]
+    assert {*content["files"], "field.json"} == set(files)
 
 
 @pytest.mark.parametrize("codes", ["grid", "separated"])
-def test_every_kind_of_code_says_the_same_and_keeps_it_on_disk(codes, tmp_path):
-    made = square_field(codes)
-    made.save(tmp_path / "field")
-    again = SemanticField.load(tmp_path / "field")
-    seen, loaded = made.render(NEW), again.render(NEW)
-    assert seen.confidence.dtype == np.float32
+def test_saved_field_renders_and_answers_the_same(codes, tmp_path):
+    original = square_field(codes)
+    original.save(tmp_path / "field")
+    restored = SemanticField.load(tmp_path / "field")
+    view, restored_view = original.render(NEW), restored.render(NEW)
+    assert view.confidence.dtype == np.float32
     for name in ("rgb", "ids", "confidence", "alpha", "depth"):
-        np.testing.assert_array_equal(getattr(seen, name), getattr(loaded, name))
-    assert (seen.ids == true_ids)[AWAY].all()
-    assert seen.confidence[AWAY].min() > 0.9 and seen.confidence[~AWAY].min() < 0.5
-    np.testing.assert_array_equal(made.labels(), again.labels())
-    assert set(np.unique(made.labels())) == {RED, GREEN, BLUE, YELLOW}
-    table = again.objects()
+        np.testing.assert_array_equal(getattr(view, name), getattr(restored_view, name))
+    assert (view.ids == true_ids)[INTERIOR].all()
+    assert view.confidence[INTERIOR].min() > 0.9 and view.confidence[~INTERIOR].min() < 0.5
+    np.testing.assert_array_equal(original.labels(), restored.labels())
+    assert set(np.unique(original.labels())) == {RED, GREEN, BLUE, YELLOW}
+    table = restored.objects()
     assert table.column("id").to_pylist() == [RED, GREEN, BLUE, YELLOW]
-    np.testing.assert_array_equal(table.column("code_b"), made.bank.codes[:, 2])
-    assert sum(table.column("gaussians").to_pylist()) == len(made.gaussians)
-    assert seen.query("red").objects[0][0] == RED
-    wrong = torch.zeros(len(made.gaussians), 7)
-    replace(made, gaussians=replace(made.gaussians, features=wrong)).save(tmp_path / "spoilt")
+    np.testing.assert_array_equal(table.column("code_b"), original.bank.codes[:, 2])
+    assert sum(table.column("gaussians").to_pylist()) == len(original.gaussians)
+    assert view.query("red").objects[0][0] == RED
+
+
+def test_features_of_another_width_are_refused(field, tmp_path):
+    features = torch.zeros(len(field.gaussians), 7)
+    replace(field, gaussians=replace(field.gaussians, features=features)).save(tmp_path / "field")
     with pytest.raises(SpecError, match=r"gaussians\.npz: .*features"):
-        SemanticField.load(tmp_path / "spoilt")
+        SemanticField.load(tmp_path / "field")
 
 
-def test_a_folder_that_is_no_field_is_left_alone(field, tmp_path):
+def test_folder_that_is_no_field_is_not_overwritten(field, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    for folder, sentence in (
+    for folder, message in (
         (tmp_path, "is not a field"),
         (tmp_path / "notes.txt/field", "cannot be written"),
     ):
-        with pytest.raises(InputError, match=sentence):
+        with pytest.raises(InputError, match=message):
             field.save(folder)
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.parametrize("name", ["gaussians.npz", "bank.npz", "field.json"])
-def test_damage_is_named(field, tmp_path, name):
-    field.save(tmp_path / "field")
+@pytest.mark.parametrize(
+    "name", ["gaussians.npz", "bank.npz", "field.json", "words.npz", "edits.npz"]
+)
+def test_truncated_or_missing_file_is_named(field, tmp_path, name):
+    field.teach("zorp", RED).without([BLUE]).save(tmp_path / "field")
     file = tmp_path / "field" / name
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(SpecError, match=name.replace(".", r"\.")):
-        SemanticField.load(tmp_path / "field")
-    file.unlink()
-    with pytest.raises(SpecError, match=name.replace(".", r"\.")):
-        SemanticField.load(tmp_path / "field")
+    data = file.read_bytes()
+    for content in (data[: len(data) // 2], data[:-30], None):
+        file.unlink() if content is None else file.write_bytes(content)
+        if content is None and name in ("words.npz", "edits.npz"):
+            continue  # a field without edits has neither
+        with pytest.raises(SpecError, match=name.replace(".", r"\.")):
+            SemanticField.load(tmp_path / "field")
 
 
 @pytest.mark.parametrize(
-    ("changed", "sentence"),
+    ("change", "message"),
     [
         ({"cameras": None}, "damaged"),
         ({"places": {"model": 3}}, "damaged .a place is not text"),
@@ -145,18 +151,18 @@ def test_damage_is_named(field, tmp_path, name):
         ({"format": 9, "made_by": "slgaussian 9"}, "format: found 9, made by slgaussian 9, expect"),
     ],
 )
-def test_a_description_that_cannot_be_used_is_named(field, tmp_path, changed, sentence):
+def test_invalid_description_is_refused(field, tmp_path, change, message):
     field.save(tmp_path / "field")
-    about = tmp_path / "field" / "field.json"
-    about.write_text(json.dumps(json.loads(about.read_text()) | changed))
-    with pytest.raises(SpecError, match=rf"field\.json: {sentence}"):
+    file = tmp_path / "field" / "field.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    with pytest.raises(SpecError, match=rf"field\.json: {message}"):
         SemanticField.load(tmp_path / "field")
 
 
-def test_files_of_two_fields_are_not_mixed(field, tmp_path):
+def test_file_of_another_field_is_refused(field, tmp_path):
     field.save(tmp_path / "field")
     moved = replace(field.gaussians, means=field.gaussians.means + 1)
-    replace(field, gaussians=moved).save(tmp_path / "other")
-    shutil.copy(tmp_path / "other" / "gaussians.npz", tmp_path / "field")
+    replace(field, gaussians=moved).save(tmp_path / "moved")
+    shutil.copy(tmp_path / "moved" / "gaussians.npz", tmp_path / "field")
     with pytest.raises(SpecError, match=r"gaussians\.npz: digest: .*another field"):
         SemanticField.load(tmp_path / "field")

@@ -1,4 +1,4 @@
-"""Threads, processes and real clusters of Dask and Ray: the same work, the same results."""
+"""Threads, processes, and real clusters of Dask and Ray give the same results."""
 
 import importlib.util
 import io
@@ -25,13 +25,13 @@ needs_dask, needs_ray = (
     )
     for kind in ("dask", "ray")
 )
-ANY = ["processes", pytest.param("dask", marks=needs_dask)]
+KINDS = ["processes", pytest.param("dask", marks=needs_dask)]
 RAY = pytest.param("ray", marks=[needs_ray, pytest.mark.whole])
 
 
 @pytest.fixture(scope="module")
 def dask(server):
-    """The address of a cluster that runs already."""
+    """Address of a running cluster."""
     with dask_cluster() as address:
         yield address
 
@@ -47,23 +47,29 @@ def runner(kind, request):
     return request.getfixturevalue(kind) if kind in ("dask", "ray") else kind
 
 
+@pytest.fixture
+def store(tmp_path):
+    return ArtifactStore(tmp_path / "store")
+
+
 def artifacts(store: ArtifactStore) -> dict[str, bytes]:
     return files_below(Path(store.path), ("keys/", ".prefect/"))
 
 
-def refs_of(store: ArtifactStore) -> dict[str, dict]:
-    """What the records say was made by which work, without when and how fast."""
-    files = Path(store.path, "keys").rglob("*.json")
-    read = {str(p.relative_to(store.path)): json.loads(p.read_bytes()) for p in files}
-    return {name: [ref["spec"], ref["uri"], ref["digest"]] for name, ref in read.items()}
+def refs_of(store: ArtifactStore) -> dict[str, list]:
+    """References in the records by the paths of these, without times."""
+    records = files_below(Path(store.path, "keys"))
+    refs = {name: json.loads(data) for name, data in records.items()}
+    return {name: [ref["spec"], ref["uri"], ref["digest"]] for name, ref in refs.items()}
 
 
-def plans_of(folder: Path, **where: str) -> dict:
+def five_scenes(folder: Path, **effects: str) -> dict:
+    """Three good scenes and two that fail; the ``effects`` are of the good scene `mortal`."""
     log = folder / "log"
     return {
         "a": tiny(6, 1, log),
         "bad": tiny(-1, 1, log),
-        "mortal": tiny(20, 1, log, **where),
+        "mortal": tiny(20, 1, log, **effects),
         "defect": tiny(666, 1, log),
         "b": tiny(30, 2, log),
     }
@@ -71,103 +77,101 @@ def plans_of(folder: Path, **where: str) -> dict:
 
 @pytest.fixture(scope="module")
 def expected(server, tmp_path_factory):
-    """What threads make of it, undisturbed."""
+    """Store and outcome of threads, undisturbed."""
     folder = tmp_path_factory.mktemp("threads")
     store = ArtifactStore(folder / "store")
-    outcome = run_tiny(store, plans_of(folder), runner="threads")
+    outcome = run_tiny(store, five_scenes(folder), runner="threads")
     assert sorted(outcome.refs) == ["a", "b", "mortal"]
     return store, outcome
 
 
-@pytest.mark.parametrize("kind", [*ANY, RAY])
-def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
-    kind, runner, expected, tmp_path, monkeypatch
-):
-    """One scene kills its worker the first time; its neighbours are in the same batch."""
-    # Workers tell the server of all that they do, as if it were the user's.
+@pytest.mark.parametrize("kind", [*KINDS, RAY])
+def test_worker_death_does_not_change_results(kind, runner, expected, store, tmp_path, monkeypatch):
+    """One scene kills its worker the first time; other scenes are in the same batch."""
+    # Workers send events to the server, as to a server of the user.
     monkeypatch.delenv(NO_EVENTS, raising=False)
-    store = ArtifactStore(tmp_path / "store")
-    plans = plans_of(tmp_path, **{"deadly once": str(tmp_path / "died")})
-    report = Progress(len(plans), 3, stream=io.StringIO())
-    outcome = run_tiny(store, plans, 1, runner=runner, progress=report)
+    scenes = five_scenes(tmp_path, **{"deadly once": str(tmp_path / "died")})
+    progress = Progress(len(scenes), 3, stream=io.StringIO())
+    outcome = run_tiny(store, scenes, 1, runner=runner, progress=progress)
     assert (tmp_path / "died").exists()
-    first, wanted = expected
-    assert outcome.refs == wanted.refs
-    assert outcome.failures == wanted.failures
-    assert artifacts(store) == artifacts(first)
-    assert refs_of(store) == refs_of(first)
+    expected_store, expected_outcome = expected
+    assert outcome.refs == expected_outcome.refs
+    assert outcome.failures == expected_outcome.failures
+    assert artifacts(store) == artifacts(expected_store)
+    assert refs_of(store) == refs_of(expected_store)
 
-    # Nothing is counted twice, by those who are told of it either.
-    assert (report.done, report.failed, report.scenes) == (3, 2, 5)
-    assert report.steps == report.total == 9
-    assert "a worker died" in report.console.file.getvalue() or kind == "dask"
+    # Progress counts each stage and scene once.
+    assert (progress.done, progress.failed, progress.scenes) == (3, 2, 5)
+    assert progress.steps == progress.total == 9
+    assert "a worker died" in progress.console.file.getvalue() or kind == "dask"
 
-    # And once more: all is there, whoever made it.
+    # Threads find all results of the other runner in the store.
     (tmp_path / "log").write_text("")
-    good = {name: plans[name] for name in ("a", "b", "mortal")}
-    rerun = run_tiny(store, good, 1)
-    assert rerun.refs == wanted.refs
+    good = {name: scenes[name] for name in ("a", "b", "mortal")}
+    assert run_tiny(store, good, 1).refs == expected_outcome.refs
     assert (tmp_path / "log").read_text() == ""
 
 
-@pytest.mark.parametrize("kind", ANY)
-def test_a_scene_that_always_kills_its_worker_is_left_out(kind, runner, tmp_path):
-    store, log = ArtifactStore(tmp_path / "store"), tmp_path / "log"
-    plans = {"killer": tiny(6, 1, log, deadly="halve"), "good": tiny(8, 1, log)}
-    report = Progress(2, 3, stream=io.StringIO())
-    outcome = run_tiny(store, plans, 1, runner=runner, progress=report)
+@pytest.mark.parametrize("kind", KINDS)
+def test_scene_that_always_kills_its_worker_is_left_out(kind, runner, store, tmp_path):
+    log = tmp_path / "log"
+    scenes = {"killer": tiny(6, 1, log, deadly="halve"), "good": tiny(8, 1, log)}
+    progress = Progress(2, 3, stream=io.StringIO())
+    outcome = run_tiny(store, scenes, 1, runner=runner, progress=progress)
     assert sorted(outcome.refs) == ["good"]
     (failure,) = outcome.failures
     assert (failure.scene, failure.stage, failure.kind) == ("killer", "make", "WorkerDied")
     assert failure.reason.startswith("its worker died (")
     assert failure.reason.isprintable() and len(failure.reason) < 500
-    assert (report.done, report.failed) == (1, 1)
-    # What it had made before it died is kept.
+    assert (progress.done, progress.failed) == (1, 1)
+    # The retry finds the stage that ended before the death in the store.
     assert log.read_text().count("killer make") == 1
 
 
 class Unreadable:
-    """What can be sent, and not be read by whom it is sent to."""
+    """An object that pickles, and whose pickle raises an error when it is read."""
 
     def __reduce__(self):
         return (int, ("no number",))
 
 
-@pytest.mark.parametrize("kind", ["threads", *ANY])
-def test_an_error_of_a_worker_is_told_and_is_no_death(kind, runner, tmp_path):
+@pytest.mark.parametrize("kind", ["threads", *KINDS])
+def test_error_in_worker_is_reported_and_is_no_death(kind, runner, store, tmp_path):
     log = tmp_path / "log"
-    plans = {
+    scenes = {
         "defect": tiny(666, 1, log),
         "exit": tiny(667, 1, log),
         "good": tiny(8, 1, log),
-        "unreadable": tiny(6, 1, log, what=Unreadable()),
+        "unreadable": tiny(6, 1, log, unreadable=Unreadable()),
     }
-    report = Progress(len(plans), 3, stream=io.StringIO())
-    store = ArtifactStore(tmp_path / "store")
-    outcome = run_tiny(store, plans, 1, runner=runner, progress=report)
+    progress = Progress(len(scenes), 3, stream=io.StringIO())
+    outcome = run_tiny(store, scenes, 1, runner=runner, progress=progress)
     assert sorted(outcome.refs) == ["good"]
     reasons = {failure.scene: failure.reason for failure in outcome.failures}
     assert reasons["defect"] == "unexpected ZeroDivisionError: a defect"
     assert reasons["exit"] == "unexpected SystemExit: 3"
     assert reasons["unreadable"].startswith("its worker raised ValueError: invalid literal for int")
-    assert "a worker raised ValueError" in report.console.file.getvalue()
-    assert "died" not in report.console.file.getvalue() + str(reasons)
+    output = progress.console.file.getvalue()
+    assert "a worker raised ValueError" in output
+    assert "died" not in output + str(reasons)
 
 
 @needs_dask
-def test_a_server_that_is_no_scheduler_is_not_waited_for_for_ever(tmp_path, monkeypatch):
+def test_address_without_scheduler_is_refused(store, monkeypatch):
     monkeypatch.setattr(task_runners, "CONNECT_TIMEOUT", 0.5)
-    message = "no Dask scheduler answers at"
-    for port, reason in ((free_port(), "refused"), (0, "refused"), (99999, "out of range")):
-        with pytest.raises(InputError, match=f"{message}.*{reason}"):
-            run_tiny(ArtifactStore(tmp_path), {}, runner=f"dask://127.0.0.1:{port}")
-    with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(InputError, match=message):
-        runner = f"dask://127.0.0.1:{server.getsockname()[1]}"
-        run_tiny(ArtifactStore(tmp_path), {}, runner=runner)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        for port, reason in (
+            (free_port(), "refused"),
+            (0, "refused"),
+            (99999, "out of range"),
+            (silent.getsockname()[1], ""),
+        ):
+            with pytest.raises(InputError, match=f"no Dask scheduler answers at.*{reason}"):
+                run_tiny(store, {}, runner=f"dask://127.0.0.1:{port}")
 
 
 @needs_dask
-def test_a_cluster_without_workers_is_not_waited_for_for_ever(tmp_path, monkeypatch):
+def test_cluster_without_workers_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(task_runners, "FIRST_TASK_TIMEOUT", 0.5)
     message = "no worker of dask://.* accepted work within"
     with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=message):
@@ -175,23 +179,21 @@ def test_a_cluster_without_workers_is_not_waited_for_for_ever(tmp_path, monkeypa
     assert not list(tmp_path.glob(".probe*"))
 
 
-def test_a_worker_that_cannot_work_says_why(server, tmp_path):
-    """What it is asked before it is given work."""
-    store = ArtifactStore(tmp_path)
+def test_worker_that_reads_another_store_is_refused(store):
     store.write("probe", b"")
     roll_call.fn(store.root, "probe")
     with pytest.raises(InputError, match="another store at"):
         roll_call.fn(store.root, "another")
 
 
-def test_the_cause_of_an_error_of_grpc():
+def test_last_line_of_error_is_its_cause():
     grpc = pytest.importorskip("grpc")
     with (
         grpc.insecure_channel(f"127.0.0.1:{free_port()}") as channel,
-        pytest.raises(grpc.RpcError) as caught,
+        pytest.raises(grpc.RpcError) as error,
     ):
         channel.unary_unary("/service/method")(b"", timeout=5)
-    assert last_line(str(caught.value)).startswith("details = ")
-    assert "127.0.0.1" in last_line(str(caught.value))
+    assert last_line(str(error.value)).startswith("details = ")
+    assert "127.0.0.1" in last_line(str(error.value))
     assert last_line("Traceback:\n  a line\nValueError: cause\n") == "ValueError: cause"
     assert last_line("") == "unknown"

@@ -1,4 +1,4 @@
-"""Clusters of Dask and Ray as their users start them, on loopback, for the tests to run on."""
+"""Clusters of Dask and Ray on loopback, started by the commands that users run."""
 
 import os
 import shutil
@@ -18,43 +18,44 @@ LOOPBACK = "127.0.0.1"
 
 
 def environment() -> dict[str, str]:
-    """What a worker finds: our packages, and nothing of the run's own settings but Ray's token."""
-    local = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "SLGAUSSIAN_"))}
-    path = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
-    variables = {
+    """Environment of a worker: our packages, none of the run's own settings but Ray's token."""
+    inherited = {
+        k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "SLGAUSSIAN_"))
+    }
+    return inherited | {
         # With it, some servers that Ray's head forks for its clients die at once.
         "GRPC_ENABLE_FORK_SUPPORT": "0",
-        # So often Dask itself tries what its worker died of; three times, if not told.
+        # Retries of Dask for a task whose worker died; its default is 3.
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+        "PYTHONPATH": os.pathsep.join([str(HERE), str(HERE.parent.parent)]),
     }
-    return {**local, **variables, "PYTHONPATH": path}
 
 
 @contextmanager
 def dask_cluster(workers: int = 1) -> Iterator[str]:
-    """The runner that has its work done by a new Dask cluster."""
-    place = f"{LOOPBACK}:{free_port()}"
-    host, port = place.split(":")
-    common = ["--host", host, "--no-dashboard"]
-    work = ["--nworkers", str(workers), "--nthreads", "1", "--death-timeout", "60"]
+    """Start a Dask cluster; yields its address as a ``runner``."""
+    port = free_port()
+    scheduler = f"tcp://{LOOPBACK}:{port}"
+    common = ["--host", LOOPBACK, "--no-dashboard"]
+    options = ["--nworkers", str(workers), "--nthreads", "1", "--death-timeout", "60"]
     with (
         tempfile.TemporaryDirectory(prefix="slg-") as folder,
         Path(folder, "log").open("wb") as log,
         ExitStack() as stack,
     ):
-        stack.enter_context(begun(log, "dask", "scheduler", *common, "--port", port))
+        stack.enter_context(running(log, "dask", "scheduler", *common, "--port", port))
         if workers:
-            local = [f"tcp://{place}", *common, *work, "--local-directory", folder]
-            stack.enter_context(begun(log, "dask", "worker", *local))
-        wait_for(place)
-        yield f"dask://{place}"
+            words = [scheduler, *common, *options, "--local-directory", folder]
+            stack.enter_context(running(log, "dask", "worker", *words))
+        wait_for_port(port)
+        yield f"dask://{LOOPBACK}:{port}"
 
 
 @contextmanager
 def ray_cluster() -> Iterator[str]:
-    """The runner that has its work done by a new Ray cluster of one core."""
+    """Start a Ray cluster of one core; yields its address as a ``runner``."""
     port = free_port()
-    # Not pytest's own: the paths of Ray's sockets would be too long.
+    # Not in pytest's folder: the paths of Ray's sockets would be too long.
     folder = tempfile.mkdtemp(prefix="slg-", dir="/tmp")
     options = {
         "node-ip-address": LOOPBACK,
@@ -69,19 +70,19 @@ def ray_cluster() -> Iterator[str]:
     try:
         with (
             Path(folder, "log").open("wb") as log,
-            begun(log, "ray", "start", "--head", "--block", "--disable-usage-stats", *words),
+            running(log, "ray", "start", "--head", "--block", "--disable-usage-stats", *words),
         ):
-            wait_for(f"{LOOPBACK}:{port}")
+            wait_for_port(port)
             yield f"ray://{LOOPBACK}:{port}"
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
-def begun(log, *command: str) -> Iterator[subprocess.Popen]:
-    """A program of the virtual environment, stopped with all that it began."""
+def running(log, program: str, *words: str) -> Iterator[None]:
+    """Run a program of the virtual environment; stop it and its children at the end."""
     process = subprocess.Popen(
-        [BIN / command[0], *command[1:]],
+        [BIN / program, *words],
         env=environment(),
         stdin=subprocess.DEVNULL,
         stdout=log,
@@ -89,7 +90,7 @@ def begun(log, *command: str) -> Iterator[subprocess.Popen]:
         start_new_session=True,
     )
     try:
-        yield process
+        yield
     finally:
         process.terminate()
         try:
@@ -99,17 +100,16 @@ def begun(log, *command: str) -> Iterator[subprocess.Popen]:
             process.wait()
 
 
-def wait_for(place: str) -> None:
-    """Until something listens there."""
-    host, port = place.split(":")
+def wait_for_port(port: str) -> None:
+    """Return when a server listens on the port."""
     end = time.monotonic() + 120
     while time.monotonic() < end:
         try:
-            socket.create_connection((host, int(port)), 1).close()
+            socket.create_connection((LOOPBACK, int(port)), 1).close()
             return
         except OSError:
             time.sleep(0.1)
-    raise TimeoutError(place)
+    raise TimeoutError(port)
 
 
 def free_port() -> str:

@@ -1,11 +1,11 @@
-"""A Prefect flow that does any work, which is not sent to workers along with it."""
+"""A Prefect flow that calls one function, which is not sent to workers along with it."""
 
 from prefect import flow
 
 from flows.runners.session import completed
 
 WORK = []
-"""What is to be done; the flow goes to workers by value, and what it calls by name."""
+"""Functions to call. Prefect sends the flow to workers by value, and what it calls by name."""
 
 
 def take_work():

@@ -1,4 +1,4 @@
-"""A flow of tiny stages: imported by the tests, and run as a program by those that kill it."""
+"""A flow of tiny stages: called by tests, and run as a program by tests that kill it."""
 
 import io
 import sys
@@ -8,9 +8,9 @@ from flows.runners.progress import Progress
 from slgaussian.storage.store import ArtifactStore
 
 
-def tiny(value: int, extra: int, log: Path, sleep: float = 0.0, **where: str) -> tuple:
-    """What the pipeline of a scene is called with; :func:`tiny_stages.note` reads ``where``."""
-    return value, extra, {"log": str(log), "sleep": str(sleep), **where}
+def tiny(value: int, extra: int, log: Path, sleep: float = 0.0, **effects: str) -> tuple:
+    """Arguments of :func:`tiny_stages.tiny_pipeline`; its ``note`` reads the effects."""
+    return value, extra, {"log": str(log), "sleep": str(sleep), **effects}
 
 
 def run_tiny(
@@ -22,7 +22,7 @@ def run_tiny(
     progress: Progress | None = None,
     refresh: tuple[str, ...] = (),
 ):
-    """Run ``{scene: what its pipeline is called with}``; returns the outcome."""
+    """Run ``{scene: arguments of its pipeline}``; returns the outcome."""
     from tiny_flow import WORK, tiny_flow
 
     from flows.runners.batches import SceneTask, map_scenes
@@ -47,9 +47,7 @@ def run_tiny(
 
 def three_scenes(log: Path, sleep: float = 0.0) -> dict[str, tuple]:
     """Three scenes, the second one slow."""
-    slow = {"scene_1": sleep}
-    names = ("scene_0", "scene_1", "scene_2")
-    return {name: tiny(10 * i + 4, 1, log, slow.get(name, 0.0)) for i, name in enumerate(names)}
+    return {f"scene_{i}": tiny(10 * i + 4, 1, log, sleep if i == 1 else 0.0) for i in range(3)}
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Stages of a few bytes and their road, to watch the machinery and not the method."""
+"""Three stages of a few bytes and their pipeline, to test how stages run."""
 
 import os
 import signal
@@ -14,32 +14,34 @@ from tasks.stage import stage
 
 
 def labels(value: int) -> dict[str, np.ndarray]:
-    full = np.full((1, 4, 5), value, np.int32)
-    return {"labels": full, "margin": np.zeros((1, 4, 5), np.float32)}
+    return {
+        "labels": np.full((1, 4, 5), value, np.int32),
+        "margin": np.zeros((1, 4, 5), np.float32),
+    }
 
 
-class Where(dict):
-    """What a stage does besides its work, which is no part of its cache key."""
+class Effects(dict):
+    """Side effects of a stage, which are no part of its cache key."""
 
     def identity(self) -> dict:
         return {}
 
 
-def note(run: RunContext, where: Where) -> None:
-    """One line in the log for every real execution, which is the last if the call is deadly."""
-    if "log" in where:
-        with Path(where["log"]).open("a") as log:
+def note(run: RunContext, effects: Effects) -> None:
+    """Log the execution; then kill the process if this stage is deadly, or sleep."""
+    if "log" in effects:
+        with Path(effects["log"]).open("a") as log:
             log.write(f"{run.scene} {run.stage}\n")
-    if where.get("deadly") == run.stage:
+    if effects.get("deadly") == run.stage:
         os.kill(os.getpid(), signal.SIGKILL)
-    if "deadly once" in where and not Path(where["deadly once"]).exists():
-        Path(where["deadly once"]).touch()
+    if "deadly once" in effects and not Path(effects["deadly once"]).exists():
+        Path(effects["deadly once"]).touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(float(where.get("sleep", 0)))
+    time.sleep(float(effects.get("sleep", 0)))
 
 
 @stage("make", version=1)
-def make(run: RunContext, value: int, where: Where) -> ArtifactRef:
+def make(run: RunContext, value: int, where: Effects) -> ArtifactRef:
     note(run, where)
     if value < 0:
         raise InputError(f"value {value}: expected a positive number")
@@ -51,7 +53,7 @@ def make(run: RunContext, value: int, where: Where) -> ArtifactRef:
 
 
 @stage("halve", version=1)
-def halve(run: RunContext, output: ArtifactRef, where: Where) -> ArtifactRef:
+def halve(run: RunContext, output: ArtifactRef, where: Effects) -> ArtifactRef:
     """Half, rounded down: 4 and 5 give the same."""
     note(run, where)
     value = int(run.store.get(output)["labels"].max())
@@ -59,14 +61,14 @@ def halve(run: RunContext, output: ArtifactRef, where: Where) -> ArtifactRef:
 
 
 @stage("add", version=1)
-def add(run: RunContext, half: ArtifactRef, extra: int, where: Where) -> ArtifactRef:
+def add(run: RunContext, half: ArtifactRef, extra: int, where: Effects) -> ArtifactRef:
     note(run, where)
     value = int(run.store.get(half)["labels"].max())
     return run.store.put("labels", labels(value + extra))
 
 
-def tiny_pipeline(value: int, extra: int, given: dict[str, str]) -> None:
-    where = Where(given)
-    output = make(value, where)
-    half = halve(output, where)
-    add(half, extra, where)
+def tiny_pipeline(value: int, extra: int, effects: dict[str, str]) -> None:
+    effects = Effects(effects)
+    output = make(value, effects)
+    half = halve(output, effects)
+    add(half, extra, effects)

@@ -1,4 +1,4 @@
-"""Small lessons that anybody can check: two photographs of a painted corner, and views between."""
+"""Small synthetic lessons: two views of a painted wall, and target views between them."""
 
 import numpy as np
 import torch
@@ -18,13 +18,13 @@ def camera(x: float, size=SIZE) -> Camera:
 
 
 def paint(points: np.ndarray, seed: int) -> np.ndarray:
-    """Ids 1 to 4 by where a point is, the borders shifted by the seed."""
+    """Return ids 1 to 4 by quadrant; the seed shifts the borders."""
     x, y = points[..., 0] - 0.1 * (seed % 5), points[..., 1] + 0.07 * (seed % 3)
     return (1 + (x > 0) + 2 * (y > 0)).astype(np.int32)
 
 
 def lesson(seed: int = 0, size=SIZE, targets: int = 2) -> Lesson:
-    """Two views 0.4 apart of a wall that is 3 away, and target views between them."""
+    """Return two views, 0.4 apart, of a wall at depth 3, and target views between them."""
     wall = np.full(size, 3.0)
     cameras = [camera(x, size) for x in (-0.2, 0.2)]
     points = np.stack([c.unproject(wall) for c in cameras])
@@ -38,5 +38,5 @@ def lesson(seed: int = 0, size=SIZE, targets: int = 2) -> Lesson:
         source=torch.arange(n, dtype=torch.int32),
     )
     between = [camera(x, size) for x in np.linspace(-0.1, 0.1, targets)]
-    shown = np.stack([paint(c.unproject(wall), seed) for c in between])
-    return Lesson(f"wall {seed}", gaussians, paint(points, seed), tuple(between), shown)
+    visible = np.stack([paint(c.unproject(wall), seed) for c in between])
+    return Lesson(f"wall {seed}", gaussians, paint(points, seed), tuple(between), visible)

@@ -1,4 +1,4 @@
-"""Liftings are judged by what novel views show."""
+"""IoU of liftings in novel views."""
 
 from dataclasses import replace
 
@@ -13,15 +13,15 @@ from slgaussian.semantic.hard import HardIndex
 HARD = {"hard": HardIndex()}
 
 
-def test_right_labels_of_a_wall_are_nearly_all_right():
-    # Not wholly: Gaussians are 0.6 pixels wide, and an object is some ten. Measured 0.92.
-    both = {**HARD, "branch": BranchLifting(make_branch(Architecture(widths=(4, 8), hidden=8)))}
-    scores = label_iou(lesson(), both)
+def test_true_labels_score_near_one_and_an_untrained_branch_lower():
+    # Below 1, since Gaussians are 0.6 pixels wide and objects some ten. Measured 0.92.
+    liftings = {**HARD, "branch": BranchLifting(make_branch(Architecture(widths=(4, 8), hidden=8)))}
+    scores = label_iou(lesson(), liftings)
     assert 0.9 < scores["hard"] <= 1
-    assert scores["branch"] < scores["hard"] and label_iou(lesson(), both) == scores
+    assert scores["branch"] < scores["hard"] and label_iou(lesson(), liftings) == scores
 
 
-def test_a_lifting_that_loses_an_object_scores_zero_for_it():
+def test_missing_object_scores_zero():
     def lossy(gaussians, label_maps, bank):
         labels = np.where(label_maps.labels == 4, 0, label_maps.labels)
         return HardIndex()(gaussians, replace(label_maps, labels=labels), bank)
@@ -30,12 +30,12 @@ def test_a_lifting_that_loses_an_object_scores_zero_for_it():
     assert scores["lossy"] == pytest.approx(scores["hard"] * 3 / 4, abs=0.05)
 
 
-def test_what_the_target_leaves_open_and_what_no_context_names_does_not_count():
-    mine = lesson()
-    targets = mine.targets.copy()
+def test_unlabelled_pixels_and_objects_without_context_are_not_scored():
+    example = lesson()
+    targets = example.targets.copy()
     targets[targets == 4] = 0
     targets[:, :3, :3] = 9
-    targets[:, :, ::2] = 0  # half of every object: what is shown there says nothing about it
-    assert label_iou(replace(mine, targets=targets), HARD)["hard"] > 0.9  # measured 0.93
-    nothing = replace(mine, targets=np.zeros_like(targets))
-    assert np.isnan(label_iou(nothing, HARD)["hard"])
+    targets[:, :, ::2] = 0  # half of every object: renderings there are not judged
+    assert label_iou(replace(example, targets=targets), HARD)["hard"] > 0.9  # measured 0.93
+    unlabelled = replace(example, targets=np.zeros_like(targets))
+    assert np.isnan(label_iou(unlabelled, HARD)["hard"])

@@ -1,4 +1,4 @@
-"""Lessons say what is wrong with them, and come back as they were stored."""
+"""Storage and validation of lessons."""
 
 from dataclasses import replace
 
@@ -12,27 +12,27 @@ from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.store import ArtifactStore
 
 
-def test_a_lesson_comes_back_from_the_store_as_it_was(tmp_path):
-    made = lesson()
-    near = replace(made.cameras[0], near=0.5)
-    made = replace(made, cameras=(near, replace(made.cameras[1], near=0.5, far=20.0)))
+def test_stored_lesson_is_restored(tmp_path):
+    stored = lesson()
+    first, second = stored.cameras
+    cameras = (replace(first, near=0.5), replace(second, near=0.5, far=20.0))
+    stored = replace(stored, cameras=cameras)
     store = ArtifactStore(tmp_path)
-    back = Lesson.from_arrays(store.get(store.put("lesson", made.to_arrays())))
-    assert back.sample == made.sample
-    np.testing.assert_array_equal(back.labels, made.labels)
-    np.testing.assert_array_equal(back.targets, made.targets)
-    for (name, value), (_, other) in zip(
-        made.gaussians.items(), back.gaussians.items(), strict=True
-    ):
-        assert torch.equal(value, other), name
-    for mine, other in zip(made.cameras, back.cameras, strict=True):
-        np.testing.assert_array_equal(mine.K, other.K)
-        np.testing.assert_array_equal(mine.c2w, other.c2w)
-        assert (mine.near, mine.far, mine.width) == (other.near, other.far, other.width)
+    restored = Lesson.from_arrays(store.get(store.put("lesson", stored.to_arrays())))
+    assert restored.sample == stored.sample
+    np.testing.assert_array_equal(restored.labels, stored.labels)
+    np.testing.assert_array_equal(restored.targets, stored.targets)
+    for name, values in stored.gaussians.items():
+        assert torch.equal(dict(restored.gaussians.items())[name], values), name
+    for actual, expected in zip(restored.cameras, cameras, strict=True):
+        np.testing.assert_array_equal(actual.K, expected.K)
+        np.testing.assert_array_equal(actual.c2w, expected.c2w)
+        assert (actual.near, actual.far) == (expected.near, expected.far)
+        assert actual.width == expected.width
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    ("changes", "message"),
     [
         ({"targets": np.zeros((1, *SIZE), np.int32)}, "a target map for each camera"),
         ({"cameras": (camera(0), camera(0, (5, 5)))}, "all of the size of the labels"),
@@ -40,6 +40,6 @@ def test_a_lesson_comes_back_from_the_store_as_it_was(tmp_path):
         ({"labels": np.zeros((1, *SIZE), np.int32)}, "pixels 0 to 767"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_the_name_of_the_sample(wrong, message):
+def test_inconsistent_lesson_is_refused_by_sample_name(changes, message):
     with pytest.raises(InputError, match=f"lesson 'wall 0': found .*{message}"):
-        replace(lesson(), **wrong)
+        replace(lesson(), **changes)

@@ -1,4 +1,4 @@
-"""Ids in a novel view of a made-up room, whose labels are true in the given views."""
+"""Ids rendered in a novel view of a procedural room, lifted from true labels of context views."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ from tests.known import known_field
 
 
 @pytest.fixture(scope="module")
-def seen():
-    """The truth, and the view by the field of every strategy."""
+def novel_views():
+    """True ids, and the view rendered by the field of each code strategy."""
     room = datasets.load("procedural", seed=302, height=104, width=144, views=3)
     sample = room.sample(["view_00", "view_02"], ["view_01"])
     labels = np.stack([view.instances for view in sample.context]).astype(np.int32)
@@ -26,14 +26,14 @@ def seen():
     return target.instances, views
 
 
-def test_few_pixels_are_wrong_and_those_are_less_sure(seen):
-    """Measured: 2.7 % wrong without codes, 0.1 and 0.3 % more by codes; chance 0.97."""
-    truth, views = seen
+def test_few_pixels_are_wrong_and_their_confidence_is_lower(novel_views):
+    """Measured: 2.7 % wrong without codes, 0.1 and 0.3 % more with codes; probability 0.97."""
+    truth, views = novel_views
     for view in views.values():
         assert (view.ids != truth).mean() < 0.04
-        shown = view.ids > 0
-        wrong = (view.ids != truth)[shown]
-        # The chance that a wrong pixel is less sure than a right one.
-        ranks, count = rankdata(-view.confidence[shown]), wrong.sum()
+        labelled = view.ids > 0
+        wrong = (view.ids != truth)[labelled]
+        # The probability that a wrong pixel has a lower confidence than a right one.
+        ranks, count = rankdata(-view.confidence[labelled]), wrong.sum()
         assert (ranks[wrong].sum() - count * (count + 1) / 2) / (count * (~wrong).sum()) > 0.9
-        assert ((view.confidence > 0) <= shown).all()
+        assert ((view.confidence > 0) <= labelled).all()

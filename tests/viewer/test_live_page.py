@@ -1,4 +1,4 @@
-"""The viewer's server: requests refused, answers as of the field, changes, and a real browser."""
+"""The viewer's server: refusals, answers, changes of the field, and its page in a browser."""
 
 import base64
 import json
@@ -22,8 +22,9 @@ from slgaussian.viewer.page.packed import morton_order
 from slgaussian.viewer.page.scene_page import scene_page
 from slgaussian.viewer.server import MAX_BODY_BYTES, LiveField, app
 from tests.flows.command import run
-from tests.flows.command import said as command_said
+from tests.flows.command import said as command_output
 from tests.square import BLUE, GREEN, RED, YELLOW, square_field
+from tests.viewer.test_page import enter, window_point
 
 IDS = [RED, GREEN, BLUE, YELLOW]
 
@@ -45,14 +46,14 @@ def client(folder):
 
 
 def client_of(folder, token: str | None, url: str = "http://127.0.0.1:8080") -> TestClient:
-    live = LiveField(SemanticField.load(folder), folder)
-    return TestClient(app("<p>page", Access(url, socket.socket(), token), live), url)
+    live_field = LiveField(SemanticField.load(folder), folder)
+    return TestClient(app("<p>page", Access(url, socket.socket(), token), live_field), url)
 
 
 def post(client: TestClient, name: str, **body) -> dict:
-    answer = client.post(f"/api/{name}", json=body)
-    assert answer.status_code == 200, answer.text
-    return answer.json()
+    response = client.post(f"/api/{name}", json=body)
+    assert response.status_code == 200, response.text
+    return response.json()
 
 
 @pytest.mark.parametrize(
@@ -65,17 +66,17 @@ def post(client: TestClient, name: str, **body) -> dict:
         [("Origin", "http://127.0.0.1:8080"), ("Origin", "http://evil.example")],
     ],
 )
-def test_other_sites_and_names_are_refused(client, headers):
+def test_requests_of_foreign_sites_are_refused(client, headers):
     assert client.get("/").text == "<p>page"
-    for answer in (
+    for response in (
         client.get("/", headers=headers),
         client.post("/api/remove", json={"object": RED}, headers=headers),
     ):
-        assert answer.status_code == 403 and "only at the address" in answer.text
+        assert response.status_code == 403 and "only at the address" in response.text
     assert post(client, "state")["removed"] == []
 
 
-def test_elsewhere_only_paths_with_the_token_are_answered(folder):
+def test_other_hosts_need_paths_with_the_token(folder):
     client = client_of(folder, "tok", "http://10.0.0.3:8080")
     assert client.get("/tok/").text == client.get("/tok").text == "<p>page"
     assert client.post("/tok/api/state", json={}).status_code == 200
@@ -98,19 +99,19 @@ def test_elsewhere_only_paths_with_the_token_are_answered(folder):
         ("query", {"texts": [1]}, "texts.0: found"),
     ],
 )
-def test_what_cannot_be_done_is_one_sentence_and_changes_nothing(client, name, body, error):
-    answer = client.post(f"/api/{name}", json=body)
-    assert answer.status_code == 400 and error in answer.json()["error"]
+def test_invalid_requests_are_refused_and_change_nothing(client, name, body, error):
+    response = client.post(f"/api/{name}", json=body)
+    assert response.status_code == 400 and error in response.json()["error"]
     state = post(client, "state")
     assert not state["undo"] and not state["unsaved"]
 
 
-def test_a_request_of_many_bytes_is_refused(client):
+def test_oversized_and_malformed_requests_are_refused(client):
     assert client.post("/api/query", content=b" " * (MAX_BODY_BYTES + 1)).status_code == 413
     assert client.post("/api/query", content=b"{").status_code == 400
 
 
-def test_answers_are_those_of_the_field(client, field):
+def test_answers_equal_those_of_the_field(client, field):
     texts = ["red", "yellow square", "red xyzzy", "xyzzy", "not red"]
     *answers, refused = post(client, "query", texts=texts)["answers"]
     ids = sorted(IDS)
@@ -119,15 +120,15 @@ def test_answers_are_those_of_the_field(client, field):
         relevancies = field.reader.relevancies([text], Rules())[0]
         expected = relevancies[np.searchsorted(field.bank.ids, ids)]
         np.testing.assert_allclose(1 / (1 + np.exp(-10 * gaps)), expected, atol=1e-5)
-        taken = {i for i, takes in zip(ids, answer["taken"], strict=True) if takes}
-        assert taken == {id_ for id_, _ in field.find(text)}
+        selected = np.array(ids)[np.array(answer["taken"], bool)]
+        assert set(selected) == {id_ for id_, _ in field.find(text)}
         assert answer["kind"] == field.reader.understood(text).kind
     assert answers[2]["unknown"] == ["xyzzy"] and answers[2]["alone"] == ", for 'red' alone"
     assert answers[-1]["untold"] == field.reader.understood("xyzzy").untold != ""
     assert "'not'" in refused["refused"] and "gaps" not in refused
 
 
-def test_changes_are_made_taken_back_and_saved_as_the_commands_do(
+def test_changes_are_undone_and_saved_as_by_the_commands(
     client, field, folder, tmp_path, monkeypatch
 ):
     post(client, "teach", word="zorp", object=GREEN)
@@ -138,9 +139,9 @@ def test_changes_are_made_taken_back_and_saved_as_the_commands_do(
     assert state["words"][ids.index(GREEN)][0][0] == "zorp" and state["taught"] == ["zorp"]
     assert state["removed"] == [YELLOW] and state["unsaved"] and state["undo"]
     bits = np.frombuffer(base64.b64decode(state["gone"]), np.uint8)
-    gone = np.unpackbits(bits, bitorder="little")[: len(field.gaussians)].astype(bool)
+    removed = np.unpackbits(bits, bitorder="little")[: len(field.gaussians)].astype(bool)
     order = morton_order(field.gaussians.means.numpy())
-    np.testing.assert_array_equal(gone, field.without([YELLOW]).gone[order])
+    np.testing.assert_array_equal(removed, field.without([YELLOW]).gone[order])
     for text, id_ in (("zorp", GREEN), ("The Zerp", GREEN)):
         (answer,) = post(client, "query", texts=[text])["answers"]
         assert answer["kind"] == ("taught" if text == "zorp" else "named")
@@ -148,14 +149,14 @@ def test_changes_are_made_taken_back_and_saved_as_the_commands_do(
         assert np.nanargmax(np.array(answer["gaps"], float)) == ids.index(id_)
 
     assert not post(client, "save")["unsaved"]
-    other = tmp_path / "other"
-    field.save(other)
+    by_commands = tmp_path / "by_commands"
+    field.save(by_commands)
     x, y = field.render(field.cameras["a"]).query("green").point
-    assert run(monkeypatch, "objects", "teach", other, "zorp", "--at", x, y) == 0
-    taught = SemanticField.load(other)
-    taught.named(GREEN, "the zerp").without([YELLOW]).save_edits(other)
+    assert run(monkeypatch, "objects", "teach", by_commands, "zorp", "--at", x, y) == 0
+    taught = SemanticField.load(by_commands)
+    taught.named(GREEN, "the zerp").without([YELLOW]).save_edits(by_commands)
     for name in ("words.npz", "edits.npz"):
-        assert (folder / name).read_bytes() == (other / name).read_bytes()
+        assert (folder / name).read_bytes() == (by_commands / name).read_bytes()
 
     state = post(client, "undo")
     assert state["removed"] == [] and state["gone"] == "" and state["unsaved"]
@@ -168,23 +169,23 @@ def test_changes_are_made_taken_back_and_saved_as_the_commands_do(
     assert not (folder / "words.npz").exists() and not (folder / "edits.npz").exists()
 
 
-def test_what_cannot_be_saved_or_viewed_is_named(client, folder, tmp_path, monkeypatch, capsys):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+def test_failed_saves_and_views_name_the_cause(client, folder, tmp_path, monkeypatch, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as occupied:
+        port = occupied.getsockname()[1]
         assert run(monkeypatch, "view", folder, "--port", port) == 2
-        assert f"--port {port}: cannot listen" in command_said(capsys)
+        assert f"--port {port}: cannot listen" in command_output(capsys)
     assert run(monkeypatch, "view", tmp_path) == 2
-    assert "field.json" in command_said(capsys)
+    assert "field.json" in command_output(capsys)
     post(client, "remove", object=RED)
     (folder / "field.json").unlink()
-    answer = client.post("/api/save", json={})
-    assert answer.status_code == 400 and "field.json" in answer.json()["error"]
+    response = client.post("/api/save", json={})
+    assert response.status_code == 400 and "field.json" in response.json()["error"]
     assert post(client, "state")["unsaved"]
 
 
 @contextmanager
 def command(source):
-    """The command, and the address that it printed."""
+    """Run ``view`` in a process; yields the process and the address that it printed."""
     child = subprocess.Popen(
         [sys.executable, "-c", "from flows.cli.app import main; main()", "view", str(source)],
         stdout=subprocess.PIPE,
@@ -199,108 +200,101 @@ def command(source):
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(("sign", "changed"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
-def test_the_command_ends_when_it_is_told_to(folder, sign, changed):
+@pytest.mark.parametrize(("signum", "changed"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
+def test_signals_stop_the_command(folder, signum, changed):
     with command(folder) as (child, address):
         assert address.startswith("http://127.0.0.1:")
         assert "data-live" in urllib.request.urlopen(address, timeout=30).read(200).decode()
         if changed:
             body = json.dumps({"object": RED}).encode()
             urllib.request.urlopen(f"{address}api/remove", body, timeout=30)
-        child.send_signal(sign)
-        out, error = child.communicate(timeout=30)
-        assert (child.returncode, out) == (0, "")
+        child.send_signal(signum)
+        stdout, stderr = child.communicate(timeout=30)
+        assert (child.returncode, stdout) == (0, "")
         last = "stopped; changes were not saved" if changed else "stopped"
-        assert error.splitlines()[-3:] == ["Ctrl-C stops it", "", last]  # after what is compiled
+        # Messages of compilation may come first.
+        assert stderr.splitlines()[-3:] == ["Ctrl-C stops it", "", last]
 
 
 @contextmanager
 def served(folder):
-    """The page of a folder on a socket of this process; its live field and address."""
-    live, access = LiveField(SemanticField.load(folder), folder), listen()
+    """Serve the page of a folder from this process; yields its live field and address."""
+    live_field, access = LiveField(SemanticField.load(folder), folder), listen()
     config = uvicorn.Config(
-        app(scene_page(live.field, live=True), access, live), log_config=None, lifespan="off"
+        app(scene_page(live_field.field, live=True), access, live_field),
+        log_config=None,
+        lifespan="off",
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [access.listener]})
     thread.start()
     try:
-        yield live, access.address
+        yield live_field, access.address
     finally:
         server.should_exit = True
         thread.join()
 
 
-def test_a_field_is_asked_and_changed_by_keys_and_clicks(browser, folder):
-    said = "document.getElementById('answer').textContent"
+def test_page_asks_and_changes_the_field(browser, folder):
+    answer = "document.getElementById('answer').textContent"
     status = "document.getElementById('status').textContent"
-    with served(folder) as (live, address), browser.open(address, 900, 600) as tab:
+    with served(folder) as (live_field, address), browser.open(address, 900, 600) as tab:
         tab.wait("globalThis.slgaussian !== undefined", 120)
 
-        tab.click_on("#words")
-        tab.type("xyzzy")
-        tab.press("Enter")
-        assert "xyzzy" in tab.wait(said)
+        enter(tab, "xyzzy")
+        assert "xyzzy" in tab.wait(answer)
         tab.evaluate("document.getElementById('words').select()")
         tab.type("red")
         tab.press("Enter")
-        assert "xyzzy" not in tab.wait(f"{said}.includes('score') && {said}")
+        assert "xyzzy" not in tab.wait(f"{answer}.includes('score') && {answer}")
         tab.wait("!slgaussian.busy")
         assert tab.evaluate("slgaussian.mode") == 3
-        seen = live.field.render(next(iter(live.field.cameras.values())))
-        assert seen.query("red").summary in tab.evaluate(said)
-        assert tab.evaluate("slgaussian.asked[0].taken") == [id_ == RED for id_ in live.ids]
-        # Without Enter: once, after a pause, and not letter by letter.
-        asked = len(tab.requests)
+        camera = next(iter(live_field.field.cameras.values()))
+        view = live_field.field.render(camera)
+        assert view.query("red").summary in tab.evaluate(answer)
+        assert tab.evaluate("slgaussian.asked[0].taken") == [id_ == RED for id_ in live_field.ids]
+        # Without Enter, one request follows a pause, not one for each letter.
+        requests = len(tab.requests)
         tab.evaluate("document.getElementById('words').select()")
         for letter in "blue":
             tab.press(letter)
-        tab.wait(f"{said}.includes('“blue”')")
-        assert tab.requests[asked:] == [f"{address}api/query"]
+        tab.wait(f"{answer}.includes('“blue”')")
+        assert tab.requests[requests:] == [f"{address}api/query"]
         tab.press("Escape")
-        tab.wait(f"{said} === '' && !slgaussian.busy && slgaussian.mode === 0")
+        tab.wait(f"{answer} === '' && !slgaussian.busy && slgaussian.mode === 0")
 
-        def pixel(id_: int) -> tuple[float, float]:
-            """A point of the window that shows an object."""
-            x, y = seen.query({RED: "red", YELLOW: "yellow"}[id_]).point
-            eye = tab.evaluate("(({fx, cx, cy}) => ({fx, cx, cy}))(slgaussian.eye)")
-            K = next(iter(live.field.cameras.values())).K
-            zoom = eye["fx"] / K[0, 0]
-            return eye["cx"] + (x + 0.5 - K[0, 2]) * zoom, eye["cy"] + (y + 0.5 - K[1, 2]) * zoom
-
-        middle = pixel(YELLOW)
+        middle = window_point(tab, camera, *view.query("yellow").point)
         tab.click(*middle)
         card = tab.wait("document.getElementById('card').textContent")
         assert f"Object {YELLOW}" in card and "yellow" in card and "Size 0.49" in card
         tab.wait("!slgaussian.busy")
-        before = tab.settle()[round(middle[1]), round(middle[0])].astype(int)
+        x, y = round(middle[0]), round(middle[1])
+        before = tab.settle()[y, x].astype(int)
 
         tab.click_on("#word")
         tab.type("Anna's")
         tab.press("Enter")
         tab.wait("document.querySelector('#card h3').textContent.includes(\"Anna's\")")
-        assert live.field.names == {YELLOW: "Anna's"}
+        assert live_field.field.names == {YELLOW: "Anna's"}
         tab.click_on("#word")
         tab.type("zorp")
         tab.click_on("#teach")
         tab.wait("document.getElementById('card').textContent.includes('zorp')")
-        assert list(live.field.taught) == ["zorp"]
+        assert list(live_field.field.taught) == ["zorp"]
         tab.click_on("#teach")  # without a word
         tab.wait(f"{status}.includes('word')")
 
         tab.click_on("#remove")
         tab.wait("document.getElementById('remove').textContent === 'Bring back'")
         tab.wait("!slgaussian.busy")
-        x, y = round(middle[0]), round(middle[1])
         assert np.abs(tab.settle()[y, x].astype(int) - before).sum() > 100
-        tab.click_on("#words")
-        tab.type("zorp")
-        tab.press("Enter")
-        tab.wait(f"{said}.includes('zorp')")
-        assert not tab.evaluate(f"slgaussian.asked[0].taken[{live.ids.index(YELLOW)}]")
+        enter(tab, "zorp")
+        tab.wait(f"{answer}.includes('zorp')")
+        selected = f"slgaussian.asked[0].taken[{live_field.ids.index(YELLOW)}]"
+        assert not tab.evaluate(selected)
         tab.click_on("#undo")
-        # The word is asked anew: it is the example itself again.
-        tab.wait(f"slgaussian.asked[0].taken[{live.ids.index(YELLOW)}]")
+        # The page asks again, and the word's example is back.
+        tab.wait(selected)
         tab.click_on("#clear")
         tab.wait("!slgaussian.busy")
         assert np.abs(tab.settle()[y, x].astype(int) - before).sum() < 20
@@ -309,11 +303,11 @@ def test_a_field_is_asked_and_changed_by_keys_and_clicks(browser, folder):
         tab.click_on("#keep")
         tab.wait(f"{status}.startsWith('Saved')")
         assert tab.evaluate("document.getElementById('keep').disabled")
-        again = SemanticField.load(folder)
-        assert again.names == {YELLOW: "Anna's"} and "zorp" in again.taught
-        assert not live.unsaved
+        saved = SemanticField.load(folder)
+        assert saved.names == {YELLOW: "Anna's"} and "zorp" in saved.taught
+        assert not live_field.unsaved
         assert all(url.startswith((address, "data:image/jpeg")) for url in tab.requests)
         policy = tab.evaluate("document.querySelector('meta[http-equiv]').content")
         assert "connect-src 'self'" in policy and "unsafe" not in policy
-        refused = [one for one in tab.complaints if "favicon" not in one]
-        assert len(refused) == 1 and refused[0].endswith(f"(Bad Request) {address}api/teach")
+        (refusal,) = [entry for entry in tab.complaints if "favicon" not in entry]
+        assert refusal.endswith(f"(Bad Request) {address}api/teach")
