@@ -1,11 +1,8 @@
-"""Small textured pictures with known objects, and small procedural rooms."""
-
-from functools import cache
+"""Small textured pictures with known objects, drawn by the tests themselves."""
 
 import numpy as np
 from scipy import ndimage
 
-from slgaussian.datasets.procedural import reader
 from slgaussian.geometry import SeenView
 from slgaussian.scene import Camera, View
 
@@ -36,29 +33,26 @@ def paste(picture, box, color, seed=None):
         picture[y0:y1, x0:x1] = patch[y0 - top : y1 - top, x0 - left : x1 - left]
 
 
-def view(picture, name="a", depth=None):
-    """A picture as a view, with ``depth`` (one value or a map) where it is given.
-
-    Masks read nothing of its camera but the size.
-    """
-    height, width = size = picture.shape[:2]
+def view(picture, name="a"):
+    """A picture as a view; masks read nothing of its camera but the size."""
+    height, width = picture.shape[:2]
     K = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1.0]])
     image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    depth = None if depth is None else np.full(size, depth, np.float32)
-    return SeenView(View(name, Camera(K, np.eye(4), width, height), image), depth)
+    return SeenView(View(name, Camera(K, np.eye(4), width, height), image))
 
 
-@cache
-def room(seed, views, size=(208, 288), baseline=1.2):
-    """Views of a procedural room with their true depths, in the order of their cameras."""
-    height, width = size
-    scene = reader.read(seed, height=height, width=width, views=views, baseline=baseline)
-    return [SeenView(view, view.depth) for view in map(scene.read, scene.cameras)]
+def flat(picture, name="a"):
+    """A picture as a view of a plane at depth 1."""
+    observed = view(picture, name)
+    return SeenView(observed.view, np.ones(picture.shape[:2], np.float32))
 
 
-def box_masks(boxes, size=SIZE):
-    """Masks, bool [N, H, W], of boxes (top, bottom, left, right)."""
-    masks = np.zeros((len(boxes), *size), bool)
-    for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
-        mask[top:bottom, left:right] = True
-    return masks
+def with_depths(views, depths):
+    """Views as they are seen, each with its depth."""
+    return [SeenView(view, depth) for view, depth in zip(views, depths, strict=True)]
+
+
+def main_label(labels, box):
+    """The label that most pixels of a box carry."""
+    top, bottom, left, right = box
+    return int(np.bincount(labels[max(top, 0) : bottom, max(left, 0) : right].ravel()).argmax())

@@ -1,43 +1,50 @@
-"""Association of masks over views: order, replicas, votes and the match of detections."""
+from functools import cache
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, box_masks, canvas, paste, room, view
+from drawn_views import SIZE, canvas, flat, paste, view
 
+from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals
 from slgaussian.masks.associate import associate, match_detections
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.regions import Regions
 
 
-class BoxProposer:
-    """Proposes the boxes listed for each image, in order of the calls."""
+class Drawn:
+    """Proposes the boxes it was given for each image, in order of the calls."""
 
     def __init__(self, *boxes_of_image):
         self.pending = list(boxes_of_image)
 
     def propose(self, frame, place=None):
-        masks = box_masks(self.pending.pop(0), frame.image.shape[:2])
-        return Proposals(masks, np.ones(len(masks), np.float32))
+        boxes = self.pending.pop(0)
+        masks = np.zeros((len(boxes), *frame.image.shape[:2]), bool)
+        for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
+            mask[top:bottom, left:right] = True
+        return Proposals(masks, np.ones(len(boxes), np.float32))
 
 
-class ErodingTracker:
-    """Takes one more row off its labels at every look at a frame.
-
-    Stands for a tracker with a working memory, which re-segments its own last answer.
+class Wandering:
+    """A tracker with a working memory: every look at a frame nibbles one more row off its labels,
+    as a tracker does that re-segments its own last answer.
     """
 
     final = False
+
+    def __init__(self, looks_that_differ=99):
+        self.memory, self.looks, self.last = None, 0, looks_that_differ
 
     def add(self, frame, labels):
         self.memory, self.looks = labels, 0
 
     def propagate(self, frame):
         self.looks += 1
-        labels = self.memory.copy()
-        labels[: self.looks] = 0
-        return labels
+        out = self.memory.copy()
+        out[: min(self.looks, self.last)] = 0
+        return out
 
 
 def picture(seed=0):
@@ -47,112 +54,119 @@ def picture(seed=0):
     return drawn
 
 
-FULL = (0, SIZE[0], 0, SIZE[1])
+WHOLE = (0, *SIZE[:1], 0, *SIZE[1:])
 
 
-def test_no_proposals_give_no_labels():
-    views = [view(picture(), depth=1), view(picture(1), "b", depth=1)]
-    maps = associate(views, BoxProposer([], [], [], []), GeometricTracker())
+def test_no_proposals_at_all():
+    views = [flat(picture()), flat(picture(1), "b")]
+    maps = associate(views, Drawn([], [], [], []), GeometricTracker())
     assert not maps.labels.any() and len(maps.ids) == 0 and (maps.margin == 1).all()
 
 
-@pytest.mark.parametrize("first", [0, 1])
-def test_object_in_one_view_only_keeps_an_id(first):
-    second = picture()
+def test_an_object_seen_in_one_view_only_is_kept():
+    first, second = picture(), picture()
     paste(second, (5, 35, 110, 150), (30, 200, 60), 9)
-    views = [view(picture(), depth=1), view(second, "b", depth=1)]
-    boxes = [FULL, (20, 60, 20, 70), (60, 100, 90, 140)]
-    proposals = [boxes, [*boxes, (5, 35, 110, 150)]]
-    order = [first, 1 - first]
-    proposer = BoxProposer(*(proposals[k] for k in order))
-    maps = associate([views[k] for k in order], proposer, GeometricTracker())
-    without, labels = (maps.labels[order.index(k)] for k in (0, 1))
-    assert labels[20, 130] == 4 if first == 0 else labels[20, 130] > 0
-    assert not (without == labels[20, 130]).any()
-    assert labels[40, 45] == without[40, 45]
+    boxes = [WHOLE, (20, 60, 20, 70), (60, 100, 90, 140)]
+    views = [flat(first), flat(second, "b")]
+    maps = associate(views, Drawn(boxes, [*boxes, (5, 35, 110, 150)]), GeometricTracker())
+    new = maps.labels[1][20, 130]
+    assert new == 4 and not (maps.labels[0] == new).any()
+    swapped = associate(views[::-1], Drawn([*boxes, (5, 35, 110, 150)], boxes), GeometricTracker())
+    gone = swapped.labels[0][20, 130]
+    assert gone > 0 and not (swapped.labels[1] == gone).any()
+    for maps_of_order in (maps, swapped):
+        assert (maps_of_order.labels[:, 40, 45] == maps_of_order.labels[0, 40, 45]).all()
 
 
-def test_uncovered_pixels_are_proposed_again():
-    proposer = BoxProposer([(0, 60, 0, SIZE[1])], [(60, SIZE[0], 0, SIZE[1])])
-    maps = associate([view(picture(), depth=1)], proposer, GeometricTracker())
+def test_regions_left_out_by_the_first_proposals_are_proposed_again():
+    drawn = Drawn([(0, 60, 0, SIZE[1])], [(60, SIZE[0], 0, SIZE[1])])
+    maps = associate([flat(picture())], drawn, GeometricTracker())
     assert (maps.labels[0][:60] == 1).all() and (maps.labels[0][60:] == 2).all()
 
 
 def test_replicas_outvote_the_detection():
-    maps = associate([view(picture())], BoxProposer([FULL]), ErodingTracker(), replicas=5)
+    maps = associate([view(picture())], Drawn([WHOLE]), Wandering(), replicas=5)
     # Copy k has lost k rows: row 0 is lost in 4 of 5 copies, row 2 in 2 of 5, row 4 in none.
     assert not maps.labels[0][:2].any() and (maps.labels[0][2:] == 1).all()
     np.testing.assert_allclose(maps.margin[0][:6, 0], [0.6, 0.2, 0.2, 0.6, 1, 1], atol=1e-6)
     assert maps.computed == 5
-    single = associate([view(picture())], BoxProposer([FULL]), ErodingTracker(), replicas=1)
-    assert (single.labels == 1).all() and single.computed == 1
+    alone = associate([view(picture())], Drawn([WHOLE]), Wandering(), replicas=1)
+    assert (alone.labels == 1).all() and alone.computed == 1
 
 
-def test_votes_of_views_equal_votes_of_all_copies():
-    """Ten frames, all computed, against those that can differ: for two views the same bytes."""
-    frames = room(0, 3, (96, 128), 0.6)[::2]
+@cache
+def room_views(seed):
+    scene = reader.read(seed, height=96, width=128, views=3, baseline=0.6)
+    views = [scene.read(name) for name in scene.cameras][::2]
+    return views, [SeenView(view, view.depth) for view in views]
+
+
+def test_copies_that_would_be_the_same_are_not_made_and_change_nothing():
+    """Ten frames, all made, against those that can differ: of two views the same bytes."""
+    _, frame = room_views(0)
     calls = []
 
-    def run(votes):
+    def found(votes):
         tracker = GeometricTracker()
         propagate = tracker.propagate
-        tracker.propagate = lambda frame: calls.append(frame.view.name) or propagate(frame)
-        return associate(frames, Regions(), tracker, 5, votes)
+        tracker.propagate = lambda here: calls.append(here.view.name) or propagate(here)
+        return associate(frame, Regions(), tracker, 5, votes)
 
-    subset, count = run("views"), len(calls)
-    complete = run("copies")
-    np.testing.assert_array_equal(subset.labels, complete.labels)
-    np.testing.assert_array_equal(subset.margin, complete.margin)
-    assert (complete.computed, len(calls) - count) == (5, 4 + 5)
+    subset, count = found("views"), len(calls)
+    every = found("copies")
+    np.testing.assert_array_equal(subset.labels, every.labels)
+    np.testing.assert_array_equal(subset.margin, every.margin)
+    assert (every.computed, len(calls) - count) == (5, 4 + 5)
     assert subset.computed == 2
 
 
-def row(*runs):
-    """One row of labels: ``row((5, 3), (0, 2))`` is three pixels of 5 and two of 0."""
-    return np.repeat(*np.array(runs, np.int32).T)[None]
+def row(**lengths):
+    """One row of labels: ``row(a5=3, b0=2)`` is three pixels of 5 and two of 0."""
+    labels = [int(name[1:]) for name, count in lengths.items() for _ in range(count)]
+    return np.array([labels], np.int32)
 
 
 @pytest.mark.parametrize(
     ("carried", "detected", "expected"),
     [
         # Pieces of an object keep its id.
-        (row((5, 6)), row((1, 2), (2, 2), (3, 2)), row((5, 6))),
-        # Parts that flow carried are united by IoU.
-        (row((5, 3), (0, 2), (7, 1)), row((1, 5), (2, 1)), row((5, 5), (7, 1))),
-        # A region that is mostly unknown is new.
-        (row((5, 1), (0, 5), (5, 4)), row((1, 4), (2, 2), (3, 4)), row((9, 4), (10, 2), (5, 4))),
+        (row(a5=6), row(a1=2, b2=2, c3=2), row(a5=6)),
+        # What flow carried in part is united by IoU.
+        (row(a5=3, b0=2, c7=1), row(a1=5, b2=1), row(a5=5, b7=1)),
+        # What is mostly unknown is new.
+        (row(a5=1, b0=5, c5=4), row(a1=4, b2=2, c3=4), row(a9=4, b10=2, c5=4)),
         # A region that was known as two objects is split.
-        (row((5, 3), (0, 1), (6, 4)), row((1, 8)), row((5, 4), (6, 4))),
-        # Pixels that no region covers stay.
-        (row((5, 1), (0, 1), (6, 1)), row((0, 3)), row((5, 1), (0, 1), (6, 1))),
-        # 6 of the region's 10 pixels are 5, which has 14 more: IoU 6 / 24, so 6 keeps its id.
-        (row((5, 6), (6, 4), (5, 14)), row((1, 10), (0, 14)), row((5, 6), (6, 4), (5, 14))),
-        # All of 5 lies in the region, and is a fifth of it: IoU 4 / 20, a new object.
-        (row((5, 4), (0, 16)), row((1, 20)), row((9, 20))),
-        # 6 of the region's 10 pixels are all of 5: IoU 6 / 10, so all of it is 5.
-        (row((5, 6), (6, 3), (0, 1)), row((1, 10)), row((5, 10))),
+        (row(a5=3, b0=1, c6=4), row(a1=8), row(a5=4, c6=4)),
+        # What no region covers stays.
+        (row(a5=1, b0=1, c6=1), row(a0=3), row(a5=1, b0=1, c6=1)),
+        # 6 of its 10 pixels are 5, which has 14 more: IoU 6 / 24, so 6 keeps its own.
+        (row(a5=6, b6=4, c5=14), row(a1=10, b0=14), row(a5=6, b6=4, c5=14)),
+        # 5 lies in it whole, and is a fifth of it: IoU 4 / 20, a new object.
+        (row(a5=4, b0=16), row(a1=20), row(a9=20)),
+        # 6 of its 10 pixels are the whole of 5: IoU 6 / 10, so all of it is 5.
+        (row(a5=6, b6=3, c0=1), row(a1=10), row(a5=10)),
         # IoU 6 / 12 is not more than half.
-        (row((5, 6), (6, 4), (5, 2)), row((1, 10), (0, 2)), row((5, 6), (6, 4), (5, 2))),
+        (row(a5=6, b6=4, c5=2), row(a1=10, b0=2), row(a5=6, b6=4, c5=2)),
         # 7 of 10 known pixels are not nearly all of them, 8 are.
-        (row((5, 7), (6, 3), (5, 9)), row((1, 10), (0, 9)), row((5, 7), (6, 3), (5, 9))),
-        (row((5, 8), (6, 2), (5, 9)), row((1, 10), (0, 9)), row((5, 10), (5, 9))),
-        # 7 known pixels of 20 are too few to give the region an id, 8 are enough.
-        (row((5, 7), (0, 13), (5, 9)), row((1, 20), (0, 9)), row((9, 20), (5, 9))),
-        (row((5, 8), (0, 12), (5, 9)), row((1, 20), (0, 9)), row((5, 20), (5, 9))),
+        (row(a5=7, b6=3, c5=9), row(a1=10, b0=9), row(a5=7, b6=3, c5=9)),
+        (row(a5=8, b6=2, c5=9), row(a1=10, b0=9), row(a5=10, c5=9)),
+        # 7 of 20 pixels are too few to know it by, 8 will do.
+        (row(a5=7, b0=13, c5=9), row(a1=20, b0=9), row(a9=20, c5=9)),
+        (row(a5=8, b0=12, c5=9), row(a1=20, b0=9), row(a5=20, c5=9)),
     ],
 )
-def test_detections_take_ids_by_intersection_over_union(carried, detected, expected):
+def test_merge_goes_by_the_intersection_over_the_union(carried, detected, expected):
     assert match_detections(carried, detected, 9).tolist() == expected.tolist()
 
 
 @pytest.mark.parametrize(
-    ("views", "settings", "message"),
+    ("views", "settings", "says"),
     [
         ([], {}, "no views"),
         ([view(picture())], {"replicas": 0}, "replicas"),
         ([view(picture()), view(picture()[:-1], "b")], {}, "'b'"),
     ],
 )
-def test_bad_input_is_refused(views, settings, message):
-    with pytest.raises(InputError, match=message):
+def test_bad_input_is_refused(views, settings, says):
+    with pytest.raises(InputError, match=says):
         associate(views, Regions(), GeometricTracker(), **settings)

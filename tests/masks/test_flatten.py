@@ -1,7 +1,4 @@
-"""Flattening of overlapping masks to one label map, and removal of crumbs."""
-
 import numpy as np
-from drawn_views import box_masks
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -10,13 +7,20 @@ from slgaussian.masks import Proposals
 from slgaussian.masks.flatten import flatten, renumbered, without_crumbs
 
 
-def test_better_scored_of_equally_large_masks_is_on_top():
-    upper, lower = (0, 4, 0, 4), (2, 6, 0, 4)
-    masks = box_masks((upper, lower), (8, 10))
-    # Of equal scores, the earlier mask is on top.
-    for scores, top in ((0.9, 0.1), 0), ((0.1, 0.9), 1), ((1, 1), 0):
-        labels = flatten(Proposals(masks, np.asarray(scores, np.float32)))
-        assert (labels[masks[top]] == 2).all()
+def rectangles(*boxes, scores=None, size=(8, 10)):
+    masks = np.zeros((len(boxes), *size), bool)
+    for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
+        mask[top:bottom, left:right] = True
+    scores = np.ones(len(boxes)) if scores is None else scores
+    return Proposals(masks, np.asarray(scores, np.float32))
+
+
+def test_of_equally_large_masks_the_better_scored_is_on_top():
+    boxes = ((0, 4, 0, 4), (2, 6, 0, 4))
+    assert flatten(rectangles(*boxes, scores=(0.9, 0.1)))[3, 0] == 2
+    assert (flatten(rectangles(*boxes, scores=(0.9, 0.1))) == 2)[0:4, 0:4].all()
+    assert (flatten(rectangles(*boxes, scores=(0.1, 0.9))) == 2)[2:6, 0:4].all()
+    assert (flatten(rectangles(*boxes)) == 2)[0:4, 0:4].all()  # equal scores: the earlier one
 
 
 @given(
@@ -24,16 +28,16 @@ def test_better_scored_of_equally_large_masks_is_on_top():
     st.integers(0, 2**32 - 1),
 )
 def test_labels_cover_the_union_without_gaps_and_in_any_order(masks, seed):
-    order = np.random.default_rng(seed).permutation(len(masks))
+    areas_differ = np.argsort(np.random.default_rng(seed).random(len(masks)))
     proposals = Proposals(masks, np.linspace(0, 1, len(masks), dtype=np.float32))
     labels = flatten(proposals)
     np.testing.assert_array_equal(labels > 0, masks.any(0))
     assert set(np.unique(labels)) - {0} == set(range(1, labels.max(initial=0) + 1))
-    shuffled = Proposals(masks[order], proposals.scores[order])
+    shuffled = Proposals(masks[areas_differ], proposals.scores[areas_differ])
     np.testing.assert_array_equal(flatten(shuffled), labels)  # scores differ: no ties by index
 
 
-def test_renumbering_keeps_order_and_zero():
+def test_renumbered_keeps_order_and_zero():
     labels = np.array([[0, 7], [3, 900]], np.int32)
     assert renumbered(labels).tolist() == [[0, 2], [1, 3]]
     assert renumbered(np.zeros((2, 2), np.int32)).tolist() == [[0, 0], [0, 0]]
@@ -51,6 +55,6 @@ def test_crumbs_and_small_holes_go_to_the_nearest_piece():
     assert clean[80, 120] == 2 and (clean != labels).sum() == 3
 
 
-def test_image_of_crumbs_alone_is_unchanged():
+def test_an_image_of_crumbs_alone_is_left_as_it_is():
     labels = np.arange(1, 90001, dtype=np.int32).reshape(300, 300)
     np.testing.assert_array_equal(without_crumbs(labels), labels)
