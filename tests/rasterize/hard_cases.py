@@ -56,7 +56,7 @@ ALL_CUT = "ten_thousand_on_one_pixel"
 
 
 def bounds(name: str, preset: str) -> Errors:
-    """What the errors of a case stay below with the settings ``exact`` or ``fast``."""
+    """Return bounds on the errors of a case with the settings ``exact`` or ``fast``."""
     if preset == "exact":
         return Errors(*[LONGER.get(name, EXACT_BOUND)] * 3)
     return Errors(FAST_BOUND, FAST_BOUND, FAST_DEPTH.get(name, FAST_BOUND))
@@ -180,7 +180,7 @@ def ordinary_cloud() -> Scene:
 
 
 def a_gaussian_per_pixel() -> Scene:
-    """What two pixel-aligned views predict: a surface of small opaque discs, twice."""
+    """Return a surface of small opaque discs twice, as two pixel-aligned views predict it."""
     view, r = camera(32, 24, 30), _Random(2)
     u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
     means = [seen_at(view, u + shift, v, 3 + 0.5 * np.sin(u / 9) + shift) for shift in (0, 0.3)]
