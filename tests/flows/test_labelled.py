@@ -254,3 +254,10 @@ class TestHeldOut:
         assert target.image.shape[:2] == (size if isinstance(size, tuple) else SIZE[::-1])
         if size == "at most 24x32":
             assert 2 * sample.context[0].image[..., 0].size < target.image[..., 0].size
+
+
+def test_labelled_frames_whose_pairs_would_have_one_name_are_refused(lerf):
+    label(lerf / "label/teatime/a", "b.jpg")
+    label(lerf / "label/teatime", "a-b.jpg")
+    with pytest.raises(InputError, match="both be called 'teatime-a-b'; rename a"):
+        indexed(lerf)
