@@ -11,21 +11,15 @@ import torch
 import transformers
 
 SIDE = 64
-"""Side in pixels of the square input of the networks."""
-
-
-def draw_weights(model) -> None:
-    """Draw all matrices from a fixed seed, scaled by the number of their inputs."""
-    generator = torch.Generator().manual_seed(1)
-    for _, tensor in sorted(model.named_parameters()):
-        if tensor.ndim > 1:
-            spread = tensor[0].numel() ** -0.5
-            tensor.data.copy_(torch.randn(tensor.shape, generator=generator) * spread)
+"""Of the square that the networks look at."""
 
 
 def _save(model, iou_bias: float, folder: Path) -> Path:
-    draw_weights(model)
-    for name, tensor in model.named_parameters():
+    state = torch.Generator().manual_seed(1)
+    for name, tensor in sorted(model.named_parameters()):
+        if tensor.ndim > 1:
+            spread = tensor[0].numel() ** -0.5
+            tensor.data.copy_(torch.randn(tensor.shape, generator=state) * spread)
         if "output_hypernetworks_mlps" in name and "proj_out" in name:
             tensor.data.mul_(300)
     model.mask_decoder.iou_prediction_head.proj_out.bias.data.fill_(iou_bias)

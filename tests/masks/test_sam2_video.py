@@ -1,11 +1,13 @@
-"""The tracker ``sam2-video`` on networks with random weights, which track nothing."""
+"""The tracker ``sam2-video`` on networks with random weights: they run, and track nothing."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import transformers
 from drawn_views import SIZE, canvas, paste, view
-from small_models import SIDE, draw_weights, sam2_config, save_sam2
+from small_models import SIDE, sam2_config, save_sam2
 
 from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
@@ -16,14 +18,13 @@ from slgaussian.masks.sam2_video import Sam2Video
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def save_sam2_video(folder: Path) -> Path:
     torch.manual_seed(0)
     parts = sam2_config()
-    # The memory has 64 channels whatever the configuration says, and must be narrower than this.
+    # Its memory has 64 channels, whatever the configuration says, and must be narrower than this.
     parts["vision_config"]["fpn_hidden_size"] = 128
-    for part in ("prompt_encoder_config", "mask_decoder_config"):
-        parts[part]["hidden_size"] = 128
+    parts["prompt_encoder_config"]["hidden_size"] = 128
+    parts["mask_decoder_config"]["hidden_size"] = 128
     config = transformers.Sam2VideoConfig(
         **parts,
         image_size=SIDE,
@@ -39,55 +40,60 @@ def folder(tmp_path_factory):
         memory_fuser_intermediate_dim=32,
     )
     model = transformers.Sam2VideoModel(config)
-    draw_weights(model)
-    for name, tensor in model.named_parameters():
+    state = torch.Generator().manual_seed(1)
+    for name, tensor in sorted(model.named_parameters()):
+        if tensor.ndim > 1:
+            spread = tensor[0].numel() ** -0.5
+            tensor.data.copy_(torch.randn(tensor.shape, generator=state) * spread)
         if "pred_obj_score_head.proj_out.bias" in name:
-            tensor.data.fill_(3.0)  # objects are present, or all masks would be empty
-    folder = tmp_path_factory.mktemp("models") / "sam2-video"
+            tensor.data.fill_(3.0)  # objects are there, or all masks would be empty
     model.save_pretrained(folder)
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return save_sam2_video(tmp_path_factory.mktemp("models") / "sam2-video")
+
+
 def labels():
     """Objects, some with ids beyond 8 and 16 bits, one of one pixel."""
-    labels = np.zeros(SIZE, np.int32)
-    labels[20:60, 20:70] = 5
-    labels[60:100, 90:140] = 300
-    labels[0:15] = 70_000
-    labels[110, 10] = 9
-    return labels
+    drawn = np.zeros(SIZE, np.int32)
+    drawn[20:60, 20:70] = 5
+    drawn[60:100, 90:140] = 300
+    drawn[0:15] = 70_000
+    drawn[110, 10] = 9
+    return drawn
 
 
-def test_batch_size_does_not_change_the_carried_ids(folder, labels):
-    results = []
+def test_it_carries_known_ids_only_whatever_the_batches(folder):
+    answers = []
     for batch in (1, 3, 16):
         tracker = load_tracker("sam2-video", model=folder, batch=batch, device="cpu")
-        tracker.add(view(canvas()), labels)
-        results.append(tracker.propagate(view(canvas(seed=2))))
-    first, *larger = results
-    assert first.dtype == np.int32 and first.shape == SIZE
-    ids = set(np.unique(first))
-    assert ids <= {0, *np.unique(labels)} and len(ids) >= 3
-    for result in larger:
-        np.testing.assert_array_equal(result, first)
+        tracker.add(view(canvas()), labels())
+        answers.append(tracker.propagate(view(canvas(seed=2))))
+    assert answers[0].dtype == np.int32 and answers[0].shape == SIZE
+    result = set(np.unique(answers[0]))
+    assert result <= {0, *np.unique(labels())} and len(result) >= 3
+    np.testing.assert_array_equal(answers[0], answers[1])
+    np.testing.assert_array_equal(answers[0], answers[2])
 
 
-def test_objects_are_grouped_by_their_frames_and_propagation_repeats(folder, labels):
+def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
     tracker = Sam2Video(model=folder, device="cpu")
-    tracker.add(view(canvas()), labels)
+    tracker.add(view(canvas()), labels())
     first = tracker.propagate(view(canvas(seed=2)))
     np.testing.assert_array_equal(tracker.propagate(view(canvas(seed=2))), first)
-    later = np.where(labels == 5, 0, labels)
+    later = np.where(labels() == 5, 0, labels())
     later[70:90, 10:40] = 71_000
     tracker.add(view(canvas(seed=2)), later)
     # 5 was in the first frame only, 71000 in the second, the others in both.
     assert tracker._groups() == {(0, 1): [9, 300, 70_000], (0,): [5], (1,): [71_000]}
     carried = tracker.propagate(view(canvas(seed=3)))
-    assert set(np.unique(carried)) <= {0, *np.unique(labels), 71_000}
+    assert set(np.unique(carried)) <= {0, *np.unique(labels()), 71_000}
 
 
-def test_pixels_go_to_the_largest_positive_logit_and_ties_to_the_lowest_id(folder):
+def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lowest_id(folder):
     class Fixed(Sam2Video):
         def _track(self, features):
             grid = torch.full((4, 4), -1.0)
@@ -100,7 +106,7 @@ def test_pixels_go_to_the_largest_positive_logit_and_ties_to_the_lowest_id(folde
     assert (result[:50] == 400).all() and not result[75:].any()
 
 
-def test_association_with_copies(folder):
+def test_the_whole_association_with_copies(folder):
     picture = canvas((140, 140, 140))
     paste(picture, (20, 60, 20, 70), (200, 40, 40), 1)
     views = [view(picture), view(picture + 3, "b")]
@@ -115,20 +121,20 @@ def test_association_with_copies(folder):
     # One copy of each view stands for the others; the second comes carried too.
     assert calls == ["a", "b", "b"]
     assert maps.labels.shape == (2, *SIZE) and (maps.margin >= 0.6 - 1e-6).all()
-    complete = associate(views, Regions(), Counted(model=folder, device="cpu"), 5, "copies")
+    every = associate(views, Regions(), Counted(model=folder, device="cpu"), 5, "copies")
     assert calls[3:] == ["a"] * 4 + ["b"] * 5
-    np.testing.assert_array_equal(complete.labels, maps.labels)
-    np.testing.assert_array_equal(complete.margin, maps.margin)
+    np.testing.assert_array_equal(every.labels, maps.labels)
+    np.testing.assert_array_equal(every.margin, maps.margin)
     assert (maps.margin < 1).any()  # its copies differ from the detection
 
 
-def test_unusable_settings_are_refused(folder, tmp_path):
+def test_what_cannot_be_used_is_one_sentence(folder, tmp_path):
     images = save_sam2(tmp_path / "sam2")
-    for settings, message in [
+    for inputs, says in [
         ({"model": folder, "batch": 0}, "sam2-video batch: found 0"),
         ({}, "sam2-video model: none given"),
-        ({"model": tmp_path / "missing"}, "there is no such folder"),
+        ({"model": tmp_path / "nowhere"}, "there is no such folder"),
         ({"model": images}, "is of type 'sam2', but sam2-video needs 'sam2_video'"),
     ]:
-        with pytest.raises(InputError, match=message):
-            Sam2Video(**settings)
+        with pytest.raises(InputError, match=says):
+            Sam2Video(**inputs)
