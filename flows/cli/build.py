@@ -128,12 +128,12 @@ def choose_word(field: SemanticField) -> str | None:
     if field.settings["encoder"] != "lexicon":  # other encoders have no calibrated confidence
         return None
     view = field.render(next(iter(field.cameras.values())))
-    quality = {
+    probabilities = {
         hit.text: hit.confidence.mask
         for hit in view.query_all(COMMON_OBJECTS)
         if hit.found and hit.confidence is not None
     }
-    return max(quality, key=quality.__getitem__, default=None)
+    return max(probabilities, key=probabilities.__getitem__, default=None)
 
 
 def cameras(

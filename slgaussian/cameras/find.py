@@ -183,9 +183,8 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
     probability = _confidence(ordered, placed, pairs)
     lens = bundle.group[index_of]
     deviations = placed.adjusted.focal_deviations[lens]
-    doubt = (
-        "some photographs share little with the others" if probability < DOUBTFUL_CONFIDENCE else ""
-    )
+    doubtful = probability < DOUBTFUL_CONFIDENCE
+    doubt = "some photographs share little with the others" if doubtful else ""
     return _estimated_cameras(
         described,
         R,
@@ -350,11 +349,6 @@ def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:
     deviation = float(np.hypot(FOCAL_STD_FACTOR * deviation, FOCAL_STD_FLOOR))
     deviation = min(deviation, two_view.EXIF_FOCAL_STD if by_exif else two_view.FOCAL_STD)
     wide = float(np.exp(Z_90 * deviation))
-    source = (
-        "EXIF"
-        if by_exif
-        else "matches"
-        if deviation < NARROWED_STD_RATIO * two_view.FOCAL_STD
-        else "guess"
-    )
+    narrowed = deviation < NARROWED_STD_RATIO * two_view.FOCAL_STD
+    source = "EXIF" if by_exif else "matches" if narrowed else "guess"
     return Focal(float(pixels), float(pixels / wide), float(pixels * wide), source)

@@ -127,9 +127,8 @@ def place(
             continue
         explained = grown.explained()
         trials.append(((len(grown.placed), explained), grown))
-        if len(grown.placed) == len(keypoints) and explained > SUFFICIENT_INLIER_SHARE * len(
-            tracks.view
-        ):
+        sufficient = SUFFICIENT_INLIER_SHARE * len(tracks.view)
+        if len(grown.placed) == len(keypoints) and explained > sufficient:
             break
     return max(trials, key=lambda trial: trial[0])[1].finished() if trials else None
 

@@ -14,12 +14,7 @@ from PIL import ExifTags, Image
 
 FILM_DIAGONAL = 43.27  # diagonal of 35 mm film, 36 x 24, in millimetres
 MIN_FOCAL, MAX_FOCAL = 0.3, 20.0  # range of plausible focal lengths, in units of the longer side
-RESOLUTION_UNITS = {
-    2: 25.4,
-    3: 10.0,
-    4: 1.0,
-    5: 0.001,
-}  # units of the focal-plane resolution, in millimetres
+RESOLUTION_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of the focal plane, millimetres
 SIDEWAYS_ORIENTATIONS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), strict=True))

@@ -98,8 +98,7 @@ class Pairs(NamedTuple):
 
 
 def neighbours(label_maps: LabelMaps) -> Pairs:
-    """Find the pairs of objects that are near each other in any view; see
-    :data:`NEIGHBOUR_DISTANCES`."""
+    """Find the pairs of objects that are neighbours in any view (:data:`NEIGHBOUR_DISTANCES`)."""
     ids = label_maps.ids
     rows = np.searchsorted(ids, label_maps.labels)
     rows[label_maps.labels == 0] = -1

@@ -38,7 +38,9 @@ from slgaussian.language.wholes import Ranking
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
 
-UNKNOWN_WORD_ADVICE = "teach it by examples, or build with --encoder clip, which knows any word"
+UNKNOWN_WORD_ADVICE = (
+    "teach it by examples, or build the field with --encoder clip, which knows any word"
+)
 """Advice for an unknown word."""
 
 MAX_LISTED = 3

@@ -74,6 +74,6 @@ def color_gains(
     mean = weights @ darker
     for _ in range(ITERATIONS):  # Huber 1964
         residuals = np.abs(darker - mean[:, None])
-        say = weights[..., None] * HUBER_THRESHOLD / np.maximum(residuals, HUBER_THRESHOLD)
-        mean = (say * darker).sum(1) / say.sum(1)
+        influence = weights[..., None] * HUBER_THRESHOLD / np.maximum(residuals, HUBER_THRESHOLD)
+        mean = (influence * darker).sum(1) / influence.sum(1)
     return np.exp(darker - mean).clip(1 / MAX_GAIN, MAX_GAIN)

@@ -396,9 +396,11 @@ def _low_confidence(
 ) -> np.ndarray:
     """Mask the lowest levels of confidence, of which other views contradict more than half."""
     low = np.zeros_like(agrees)
-    if any(level_map is None for level_map in confidences) or not judged.any():
+    if any(confidence_map is None for confidence_map in confidences) or not judged.any():
         return low
-    confidence = np.stack([level_map for level_map in confidences if level_map is not None])
+    confidence = np.stack(
+        [confidence_map for confidence_map in confidences if confidence_map is not None]
+    )
     levels = np.unique(
         np.quantile(
             confidence[judged], np.arange(CONFIDENCE_LEVELS) / CONFIDENCE_LEVELS, method="nearest"

@@ -184,8 +184,8 @@ def _blocks_to_restore(change: np.ndarray) -> np.ndarray:
     sums = np.cumsum(least_first, dtype=np.float64)
     if sums[-1] <= squares.size * MAX_VIEW_CHANGE**2:
         return excessive
-    kept_blocks = int(np.searchsorted(sums, squares.size * (TARGET_SHARE * MAX_VIEW_CHANGE) ** 2))
-    return excessive | (squares > least_first[max(kept_blocks - 1, 0)])
+    count = int(np.searchsorted(sums, squares.size * (TARGET_SHARE * MAX_VIEW_CHANGE) ** 2))
+    return excessive | (squares > least_first[max(count - 1, 0)])
 
 
 def _blocks(values: np.ndarray) -> np.ndarray:

@@ -266,8 +266,8 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[model.Block]:
         blocks.append(model.Table(columns, lines, title, has_total=True))
     text = "Mean IoU if stages are replaced by ground truth one after the other, from left to "
     text += "right. The first replacement that turns a miss into a hit names the responsible stage."
-    stand_ins = {title: help for title, help in REPLACEMENTS.values() if help}
-    return [*blocks, model.Prose(text), model.terms(stand_ins)]
+    replacements = {title: help for title, help in REPLACEMENTS.values() if help}
+    return [*blocks, model.Prose(text), model.terms(replacements)]
 
 
 def _scene_blocks(

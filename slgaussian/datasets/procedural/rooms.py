@@ -24,7 +24,7 @@ _WALLS = ("white", "grey", "beige", "yellow", "green", "blue", "pink", "brick")
 _WIDTH, _BACK, _FRONT, _HEIGHT = 2.3, 1.7, -4.2, 2.7  # half width, y of the walls, height (metres)
 _STAGE = (1.55, -1.05, 1.25)  # objects stand in |x| < .., y between
 _GAP = 0.04
-_CARPET_THICKNESS = 0.012  # of a carpet
+_CARPET_THICKNESS = 0.012
 _MIN_VISIBLE_SHARE = 0.0035  # smallest fraction of each end view that an object must fill
 
 FOCUS = np.array([0.0, 0.15, 0.45])  # the point at which the cameras look
