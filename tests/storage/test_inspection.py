@@ -128,6 +128,8 @@ def test_what_others_wrote_is_refused_in_one_sentence(tmp_path, name):
         inspect(tmp_path / name)
     with pytest.raises(InputError, match="found no file there that slgaussian wrote"):
         inspect(tmp_path)
+    with pytest.raises(InputError, match="nowhere: cannot be read .No such file"):
+        inspect(tmp_path / "nowhere")
 
 
 SPEC = load_spec("labels")
