@@ -18,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from slgaussian.checks import check_names, name_parts, namesakes, order_naturally
 from slgaussian.errors import InputError
 from slgaussian.formats.images import MAX_PIXELS
 from slgaussian.formats.resampling import Fit, Window
@@ -204,6 +205,8 @@ class View:
             None where all is opaque.
         window: Part of the photograph that is shown, where it was resized or cropped; None for all
             of it.
+        namesakes: Other photographs of the scene with the same file name, see
+            :func:`slgaussian.checks.companion`.
     """
 
     name: str
@@ -213,6 +216,7 @@ class View:
     instances: np.ndarray | None = None
     opaque: np.ndarray | None = None
     window: Window | None = None
+    namesakes: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -232,6 +236,11 @@ class View:
     def shown(self) -> Window:
         """Window of the photograph that the view shows."""
         return self.window or Window.whole(self.camera.width, self.camera.height)
+
+    def among(self, names: Sequence[str]) -> View:
+        """Return the view with its namesakes among the names of its scene's photographs."""
+        shared = dict.fromkeys((*self.namesakes, *namesakes(self.name, names)))
+        return self if len(shared) == len(self.namesakes) else replace(self, namesakes=(*shared,))
 
     @cached_property
     def grey(self) -> np.ndarray:
@@ -296,6 +305,9 @@ class Sample:
                 f"scene {self.scene!r}: found {len(self.context)} context view(s), expected at "
                 "least two; add a photograph of the same things from some way apart"
             )
+        names = [view.name for view in (*self.context, *self.targets)]
+        for group in ("context", "targets"):
+            self.__dict__[group] = tuple(v.among(names) for v in getattr(self, group))
         first = self.context[0]
         (h0, w0), name = first.image.shape[:2], f"scene {self.scene!r}: {first.name!r}"
         for view in self.context:
@@ -333,7 +345,7 @@ class Scene:
 
     Attributes:
         cameras: mapping str -> Camera. Camera of every view by view name, in the order of the data
-            set.
+            set, natural order if that is the order of letters.
         read: callable str -> View. Reads and undistorts one view.
         phrases: mapping int -> str. Name of each ground-truth instance id, if known.
         estimation: See :class:`Sample`.
@@ -349,6 +361,11 @@ class Scene:
     sources: Callable[[str], Sequence[Path]] = lambda name: ()
 
     __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        check_names(self.name, self.cameras)
+        ordered = {name: self.cameras[name] for name in order_naturally(self.cameras)}
+        self.__dict__["cameras"] = ordered
 
     @property
     def left_out(self) -> Mapping[str, str]:
@@ -444,10 +461,11 @@ class Scene:
 
     def _resized(self, names: Sequence[str], sizes: Sequence[Size]) -> Iterator[View]:
         """Read views one at a time, as photographs are large, and resize them."""
+        photographs = (*self.cameras, *self.left_out)
         cameras = [self.cameras[name] for name in names]
         smallest = min(c.height for c in cameras), min(c.width for c in cameras)
         for name, size in zip(names, sizes, strict=True):
-            view = self.read(name)
+            view = self.read(name).among(photographs)
             yield view if size == "original" else view.resized(*_fit(*smallest, size))
 
 
@@ -490,5 +508,6 @@ def _fit(height: int, width: int, size: Size) -> tuple[int, int]:
 
 
 def _answers_to(full: str, name: str) -> bool:
+    name = "/".join(name_parts(name, suffix=True))
     stem = full.rsplit(".", 1)[0]
     return any(candidate == name or candidate.endswith("/" + name) for candidate in (full, stem))

@@ -82,6 +82,8 @@ def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
             arrays[name] = stack.astype(dtype)
     if any(view.window is not None for view in views):
         arrays["window"] = np.array([astuple(view.shown) for view in views], np.float64)
+    if any(view.namesakes for view in views):
+        arrays["namesakes"] = np.array([json.dumps(view.namesakes) for view in views], np.str_)
     estimates = [view.camera.estimated for view in views]
     if any(estimates):
         texts = [json.dumps(asdict(estimate)) if estimate else "" for estimate in estimates]
@@ -123,6 +125,9 @@ def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
             instances=truth("instances", i),
             opaque=None if "opaque" not in arrays else arrays["opaque"][i] > 0,
             window=window(i),
+            namesakes=tuple(json.loads(str(arrays["namesakes"][i])))
+            if "namesakes" in arrays
+            else (),
         )
         for i, name in enumerate(arrays["names"])
     )

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from slgaussian.benchmark.annotations import label_files, read_labels
-from slgaussian.benchmark.outputs import file_name, mask_path, write_predictions
+from slgaussian.benchmark.outputs import file_name, mask_paths, write_predictions
 from slgaussian.components.pretrained import find_model
 from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.datasets.photographs import open_photograph, stored_size
@@ -222,7 +222,7 @@ class TestNames:
         row = {"method": name, "protocol": f"{name}@1", "scene": name, "frame": "f", "query": name}
         write_predictions([row], {(row["protocol"], "f", name): b"mask"}, out)
         (file,) = [path for path in tmp_path.rglob("*") if path.is_file()]
-        assert file == out / mask_path(row)
+        assert file == out / mask_paths([row])[0]
         assert file.resolve().is_relative_to(out.resolve())
 
     @pytest.mark.parametrize("name", [n for n in BAD_NAMES if n.isprintable()])

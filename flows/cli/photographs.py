@@ -11,6 +11,7 @@ import numpy as np
 
 from flows.config import SceneSettings, Settings
 from flows.scenes import folder_of
+from slgaussian.checks import natural_key, order_naturally
 from slgaussian.datasets import unposed
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, choose_keyframes, glance, small
@@ -93,7 +94,8 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
     camera is left out with a warning. Names of the scene's views are relative to ``folder``.
 
     Returns:
-        list of (str, path): Names of views, and files, which may be missing.
+        list of (str, path): Names of views, and files, which may be missing; in natural order if
+            they were given in the order of letters, as a shell lists them.
 
     Raises:
         InputError: If a photograph, or all photographs in a folder, have no camera.
@@ -106,7 +108,8 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
         # Names of views may lack the suffix of their file.
         name = names.get(place) or names.get(place.parent / place.stem)
         if place.is_dir():
-            inside = sorted(name for file, name in names.items() if file.is_relative_to(place))
+            within = (name for file, name in names.items() if file.is_relative_to(place))
+            inside = sorted(within, key=natural_key)
             if not inside:
                 raise InputError(
                     f"{photo}: none of the {len(names)} photographs that have a camera is in this "
@@ -126,7 +129,8 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
             )
         else:
             views.append((name or scene.find(photo), Path(photo)))
-    return views
+    files = dict(views)
+    return [(name, files[name]) for name in order_naturally(name for name, _ in views)]
 
 
 def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings:

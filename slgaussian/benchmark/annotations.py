@@ -27,6 +27,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, PositiveInt
 
 from slgaussian.benchmark.documents import check_document, read_json
+from slgaussian.checks import companion, match_rank, name_parts
 from slgaussian.errors import InputError
 from slgaussian.formats.images import TooLargeError, check_size, read_mask
 from slgaussian.formats.resampling import Window
@@ -70,7 +71,7 @@ def read_labels(
         InputError: If the labels of the view are missing, damaged, belong to another frame or have
             another aspect ratio than its photograph.
     """
-    return _read_frame(Path(folder), view_name, width, height, window)[0]
+    return _read_frame(Path(folder), view_name, (), width, height, window)[0]
 
 
 def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[View]) -> Truth:
@@ -83,7 +84,7 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
     boxes: dict[str, dict[str, np.ndarray]] = {}
     for view in targets:
         size = view.camera.width, view.camera.height
-        drawn, corners = _read_frame(Path(folder), view.name, *size, view.shown)
+        drawn, corners = _read_frame(Path(folder), view.name, view.namesakes, *size, view.shown)
         nothing = np.zeros(view.image.shape[:2], bool)
         masks[view.name] = {name: drawn.get(name, nothing) for name in categories}
         if corners is not None:
@@ -120,26 +121,36 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     }
 
 
-def label_files(folder: str | Path, view_name: str) -> list[Path]:
-    """Return the files from which the labels of a frame are read; they may be missing."""
-    folder, name = Path(folder), Path(view_name)
+def label_files(folder: str | Path, view_name: str, others: Sequence[str] = ()) -> list[Path]:
+    """Return the files from which the labels of a frame are read; they may be missing.
+
+    Raises:
+        InputError: If they fit one of the ``others`` too, the photographs with its file name.
+    """
+    folder, stem = Path(folder), name_parts(view_name)[-1]
     if (folder / CLASSES_FILE).is_file():
-        masks = (folder / name.stem / f"{category}.png" for category in _classes(folder))
-        return [folder / CLASSES_FILE, *masks]
-    nested = folder / name.with_suffix(".json")
-    return [nested if nested.is_file() else folder / f"{name.stem}.json"]
+        masks = companion(folder, view_name, [""], others) or folder / stem
+        return [folder / CLASSES_FILE, *(masks / f"{name}.png" for name in _classes(folder))]
+    return [companion(folder, view_name, [".json"], others) or folder / f"{stem}.json"]
 
 
 def _read_frame(
-    folder: Path, view_name: str, width: int, height: int, window: Window | None
+    folder: Path,
+    view_name: str,
+    others: Sequence[str],
+    width: int,
+    height: int,
+    window: Window | None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray] | None]:
     """Read masks and boxes of a frame; class masks have no boxes."""
     if (folder / CLASSES_FILE).is_file():
-        return _read_class_masks(folder, view_name, width, height, window), None
-    (path,) = label_files(folder, view_name)
+        files = label_files(folder, view_name, others)[1:]
+        return _read_class_masks(folder, files, width, height, window), None
+    (path,) = label_files(folder, view_name, others)
     record = _read_record(path)
     name, full_w, full_h = record.info.name, record.info.width, record.info.height
-    if Path(name).stem != Path(view_name).stem:
+    rank = match_rank(name, view_name)
+    if not rank or any(match_rank(name, other) > rank for other in others):
         # With labels shifted by one frame the scores would be wrong without an error.
         raise InputError(f"{path}: was drawn on {name!r}, expected labels of {view_name!r}")
     part = window or Window.covering(full_w, full_h, width, height)
@@ -176,10 +187,10 @@ def _classes(folder: Path) -> tuple[str, ...]:
 
 
 def _read_class_masks(
-    folder: Path, view_name: str, width: int, height: int, window: Window | None
+    folder: Path, files: Sequence[Path], width: int, height: int, window: Window | None
 ) -> dict[str, np.ndarray]:
     masks = {}
-    for name, file in zip(_classes(folder), label_files(folder, view_name)[1:], strict=True):
+    for name, file in zip(_classes(folder), files, strict=True):
         if not file.is_file():
             raise InputError(
                 f"{file}: no such mask; every labelled frame needs one for each class of "

@@ -1,7 +1,7 @@
 """Score masks of other programs: a folder of PNG files, or a JSON file of run lengths.
 
 A folder has the layout of a benchmark's masks, ``<method>/<protocol>/<scene>/<frame>/<query>.png``
-(:func:`slgaussian.benchmark.outputs.mask_path`), white inside the mask. A JSON file is a list of
+(:func:`slgaussian.benchmark.outputs.mask_paths`), white inside the mask. A JSON file is a list of
 masks, each scored by every protocol::
 
     [{"method": "mine", "scene": "desk", "frame": "0007.png", "query": "red mug",
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,6 +32,7 @@ from slgaussian.benchmark.evaluate import ABSENT, SceneResult, score_frame
 from slgaussian.benchmark.outputs import file_name
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, ScoringProtocol
 from slgaussian.benchmark.scores import of_first_protocol, scene_means
+from slgaussian.checks import matching, name_parts, namesakes
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
 from slgaussian.formats.images import read_mask
@@ -102,17 +103,42 @@ class Predictions:
         keys = (key for key in self.masks if key not in self.used)
         return list(dict.fromkeys(_describe(*key[2:]) for key in keys))
 
-    def find(self, method: str, protocol: str, scene: str, frame: str, query: str) -> Key | None:
+    def find(
+        self, names: tuple[str, str, str, str], query: str, others: Sequence[str]
+    ) -> Key | None:
         """Return the key of the mask of a query; None if there is none.
 
-        A frame may lack its folder and suffix, and names may be file names.
+        Args:
+            names: Method, protocol, scene and frame. A frame may lack its folder and suffix, and
+                names may be file names.
+            others: The other judged frames with the file name of the frame.
+
+        Raises:
+            InputError: If the mask fits one of them as well.
         """
-        path = Path(frame)
-        frames = frame, path.with_suffix("").as_posix(), path.stem
-        names = [(scene, name, query) for name in frames]
-        names.append((file_name(scene), file_name(path.stem), file_name(query)))
-        keys = ((method, of, *name) for of in (protocol, "") for name in names)
-        return next((key for key in keys if key in self.masks), None)
+        method, protocol, scene, frame = names
+        parts = name_parts(frame)
+        forms = parts[-1], "/".join(parts)
+        for of in (protocol, ""):
+            group = self._grouped.get((method, of, file_name(scene), file_name(query)), {})
+            by_frame = dict(group.get(parts[-1], {}))
+            for form in forms:
+                if (key := group.get(file_name(form), {}).get(file_name(form))) is not None:
+                    by_frame[form] = key
+            entry = matching(str(self.place), frame, by_frame, others)
+            if entry is not None:
+                return by_frame[entry]
+        return None
+
+    @cached_property
+    def _grouped(self) -> dict[tuple[str, str, str, str], dict[str, dict[str, Key]]]:
+        """Keys by method, protocol, scene and query, by file name of frames, then by frame."""
+        groups: dict[tuple[str, str, str, str], dict[str, dict[str, Key]]] = {}
+        for key in self.masks:
+            method, protocol, scene, frame, query = key
+            group = groups.setdefault((method, protocol, file_name(scene), file_name(query)), {})
+            group.setdefault(name_parts(frame)[-1], {})[frame] = key
+        return groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,8 +218,11 @@ def _score_frame(
     truths, boxes = judged.truth.masks[frame], judged.truth.boxes.get(frame, {})
     common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
     common |= {"place": judged.place, "frame": frame}
+    others = namesakes(frame, judged.truth.masks)
     answers = {
-        protocol.name: _look_up(predictions, (method, protocol.name, judged.scene, frame), truths)
+        protocol.name: _look_up(
+            predictions, (method, protocol.name, judged.scene, frame), truths, others
+        )
         for protocol in protocols
     }
     # The same texts compete in two protocols, and their masks determine which wins.
@@ -214,13 +243,16 @@ def _score_frame(
 
 
 def _look_up(
-    predictions: Predictions, names: tuple[str, str, str, str], truths: Mapping[str, np.ndarray]
+    predictions: Predictions,
+    names: tuple[str, str, str, str],
+    truths: Mapping[str, np.ndarray],
+    others: Sequence[str],
 ) -> dict[str, tuple[Answer, str]]:
     """Return the answer for each text of a frame, and the name of its mask; empty without one."""
     answers = {}
     for text, truth in truths.items():
         prediction = Prediction("", lambda *size: np.zeros(size, bool))
-        if (key := predictions.find(*names, text)) is not None:
+        if (key := predictions.find(names, text, others)) is not None:
             prediction = predictions.masks[key]
             predictions.used.add(key)
         elif truth.any():

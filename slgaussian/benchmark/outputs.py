@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 import pyarrow as pa
 
 from slgaussian.benchmark.scores import score_table
+from slgaussian.checks import name_parts
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 from slgaussian.storage.encoding import encode_table
@@ -55,14 +57,14 @@ def write_table(name: str, table: pa.Table, out: str | Path) -> None:
 def write_predictions(
     rows: Sequence[Row], predictions: Mapping[tuple[str, str, str], bytes], out: str | Path
 ) -> None:
-    """Write every mask into folder ``out``, at the path of its row (:func:`mask_path`).
+    """Write every mask into folder ``out``, at the path of its row (:func:`mask_paths`).
 
     ``predictions`` are PNG files by the protocol, frame and query of ``rows``.
     """
-    for row in rows:
+    for row, path in zip(rows, mask_paths(rows), strict=True):
         png = predictions.get((row["protocol"], row["frame"], row["query"]))
         if png is not None:
-            write_file(Path(out, mask_path(row)), png)
+            write_file(Path(out, path), png)
 
 
 def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
@@ -74,7 +76,7 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
     columns = "method", "protocol", "scene", "frame", "query"
     try:
         earlier = read_table(out / "samples.parquet", columns).to_pylist()
-        obsolete = set(map(mask_path, earlier)) - set(map(mask_path, rows))
+        obsolete = {*mask_paths(earlier)} - {*mask_paths(rows)}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return
     for path in obsolete:
@@ -84,14 +86,21 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
                 (out / "predictions" / folder).rmdir()
 
 
-def mask_path(row: Row) -> Path:
-    """Return the path ``<method>/<protocol>/<scene>/<frame>/<query>.png`` of a row's mask.
+def mask_paths(rows: Sequence[Row]) -> list[Path]:
+    """Return the path ``<method>/<protocol>/<scene>/<frame>/<query>.png`` of the mask of each row.
 
-    The protocol has no version, the frame no folder and suffix; names are :func:`file_name`.
+    The protocol has no version, the frame no suffix, and its folders only if another frame of the
+    scene has the same file name; names are :func:`file_name`.
     """
-    protocol, frame = row["protocol"].partition("@")[0], Path(row["frame"]).stem
-    folder = map(file_name, (row["method"], protocol, row["scene"], frame))
-    return Path(*folder, f"{file_name(row['query'])}.png")
+    frames = {(row["scene"], name_parts(row["frame"])) for row in rows}
+    count = Counter((scene, parts[-1]) for scene, parts in frames)
+    paths = []
+    for row in rows:
+        protocol, parts = row["protocol"].partition("@")[0], name_parts(row["frame"])
+        frame = "/".join(parts) if count[row["scene"], parts[-1]] > 1 else parts[-1]
+        folder = map(file_name, (row["method"], protocol, row["scene"], frame))
+        paths.append(Path(*folder, f"{file_name(row['query'])}.png"))
+    return paths
 
 
 def file_name(text: str) -> str:

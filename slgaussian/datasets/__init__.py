@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from slgaussian.checks import namesakes
 from slgaussian.components.registry import resolve
 from slgaussian.errors import InputError
 
@@ -79,7 +80,8 @@ def inputs(
         files: list of Path. Files from which the views are read, possibly some more. Some may be
             missing.
         cameras: dict str -> Camera. Cameras of the views by full name; empty if they are determined
-            by the files alone.
+            by the files alone. Those of their namesakes (:func:`slgaussian.checks.namesakes`)
+            follow.
 
     Raises:
         InputError: As :func:`load`, or if a view does not exist.
@@ -93,7 +95,8 @@ def inputs(
     scene = load(format, path, **settings)
     names = [scene.find(name) for name in scene.placed(views)]
     files = [file for name in names for file in scene.sources(name)]
-    return list(dict.fromkeys(files)), {name: scene.cameras[name] for name in names}
+    shared = [other for name in names for other in namesakes(name, scene.cameras)]
+    return list(dict.fromkeys(files)), {name: scene.cameras[name] for name in (*names, *shared)}
 
 
 def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:

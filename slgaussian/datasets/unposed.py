@@ -2,7 +2,7 @@
 
 Photographs are turned upright by their EXIF orientation. The world is the frame of the first
 camera, and its unit the distance of the first two cameras (:mod:`slgaussian.cameras.estimated`);
-the photographs of a folder are ordered by name.
+the photographs of a folder are in natural order (:mod:`slgaussian.checks`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from PIL import Image
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.two_view import MAX_IMAGE_SIDE, Photograph
+from slgaussian.checks import order_naturally
 from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of, read_lens, upright
 from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
 from slgaussian.errors import InputError
@@ -108,6 +109,8 @@ def _listed(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[s
 def named(places: Sequence[Place]) -> dict[str, Path]:
     """List the photographs at files and folders, by their path below the common folder.
 
+    Those in the order of letters, as in a folder or from a shell, are put in natural order.
+
     Raises:
         InputError: If a folder has none, there are fewer than two, or one is listed twice.
     """
@@ -130,7 +133,8 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
         )
     folder = folder_of(dict(enumerate(absolute)))
     names = [file.relative_to(folder).as_posix() for file in absolute]
-    return dict(zip(names, listed, strict=True))
+    by_name = dict(zip(names, listed, strict=True))
+    return {name: by_name[name] for name in order_naturally(names)}
 
 
 def folder_of(files: Mapping[Any, Path]) -> Path:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from slgaussian.checks import matching, order_naturally
 from slgaussian.errors import InputError
 from slgaussian.formats.images import MAX_PIXELS, opened, read_npy, unreadable
 from slgaussian.io import short_repr, write_file
@@ -73,10 +74,18 @@ class GeometryFile:
     names: Sequence[str] | None
     __repr__ = short_repr
 
-    def numbers(self, views: Sequence[str]) -> dict[str, int]:
+    def numbers(self, views: Sequence[str], others: Sequence[str] = ()) -> dict[str, int]:
         """Return the index of the map of each view that has one, by the names of photographs.
 
-        Without names, map i belongs to view i; InputError if their numbers differ.
+        Without names, map i belongs to view i.
+
+        Args:
+            views: Names of photographs, in order.
+            others: Names of further photographs of the scene.
+
+        Raises:
+            InputError: If a name fits two photographs; or, without names, if the numbers of maps
+                and views differ, or the order of views depends on how numbers are sorted.
         """
         if self.names is None:
             if len(self.maps) != len(views):
@@ -85,19 +94,21 @@ class GeometryFile:
                     "photographs; add an array `names` of theirs, as in np.savez(new, "
                     "**np.load(old), names=[...])"
                 )
+            if list(views) == order_naturally(sorted(views)) != sorted(views):
+                raise InputError(
+                    f"{self.file}: holds maps without names, for photographs whose order is open: "
+                    f"{', '.join(views[:3])}, ..., or {', '.join(sorted(views)[:3])}, ..., as "
+                    "programs sort them; add an array `names` of theirs"
+                )
             return {view: i for i, view in enumerate(views)}
-        row_of_key = {key: i for i, name in enumerate(self.names) for key in name_keys(name)}
-        keys = {
-            view: next((key for key in name_keys(view) if key in row_of_key), None)
-            for view in views
-        }
-        return {view: row_of_key[key] for view, key in keys.items() if key is not None}
-
-
-def name_keys(name: str) -> tuple[str, ...]:
-    """Return the names by which files of a photograph are found: path without suffix, and stem."""
-    path = Path(name)
-    return path.with_suffix("").as_posix(), path.stem
+        if repeated := [name for name in self.names if list(self.names).count(name) > 1]:
+            raise InputError(f"{self.file}: holds two maps named {repeated[0]!r}; rename one")
+        numbers = {}
+        for view in views:
+            name = matching(str(self.file), view, self.names, [*views, *others])
+            if name is not None:
+                numbers[view] = self.names.index(name)
+        return numbers
 
 
 def read_geometry(file: Path) -> GeometryFile:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from pydantic import PrivateAttr
 
+from slgaussian.checks import companion
 from slgaussian.errors import InputError
 from slgaussian.masks.configs import MAP_SUFFIXES, PrecomputedConfig
 
@@ -43,7 +43,6 @@ class Precomputed(PrecomputedConfig):
 
     final: ClassVar[bool] = True
     repeatable: ClassVar[bool] = True
-    _views: dict[Path, str] = PrivateAttr(default_factory=dict)
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
@@ -61,12 +60,13 @@ class Precomputed(PrecomputedConfig):
     def propagate(self, frame: SeenView) -> np.ndarray:
         """Read the ids int32 [H, W] of a view from its file."""
         view = frame.view
-        file = self._find(view.name)
-        first_view = self._views.setdefault(file, view.name)
-        if first_view != view.name:
+        assert self.folder is not None  # checked at construction
+        file = companion(self.folder, view.name, MAP_SUFFIXES, view.namesakes)
+        if file is None:
+            stem = Path(view.name).stem
             raise InputError(
-                f"{file}: is the id map of both {first_view!r} and {view.name!r}; put the maps "
-                f"into folders like those of the views, as in {Path(view.name).with_suffix('.png')}"
+                f"{self.folder}: has no id map of view {view.name!r}; expected {stem}.png or "
+                f"{stem}.npy"
             )
         ids = read_ids(file)
         height, width = view.image.shape[:2]
@@ -79,20 +79,6 @@ class Precomputed(PrecomputedConfig):
             drawn_on = cropped
         drawn_on.check_shape(file, *ids.shape[::-1])
         return drawn_on.ids(ids, height, width)
-
-    def _find(self, name: str) -> Path:
-        assert self.folder is not None  # checked at construction
-        folder, view = self.folder, Path(name)
-        for base in dict.fromkeys((folder / view.with_suffix(""), folder / view.stem)):
-            files = [f for s in MAP_SUFFIXES if (f := base.with_name(base.name + s)).is_file()]
-            if len(files) > 1:
-                raise InputError(f"{files[0]}: {files[1].name} is there too; remove one of them")
-            if files:
-                return files[0]
-        raise InputError(
-            f"{folder}: has no id map of view {str(view)!r}; expected {view.stem}.png or "
-            f"{view.stem}.npy"
-        )
 
 
 def map_names(views: Sequence[str]) -> dict[str, str]:

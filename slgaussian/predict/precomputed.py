@@ -20,8 +20,9 @@ import numpy as np
 from slgaussian.cameras.check import COARSE_DISTANCE, agree
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
+from slgaussian.checks import companion
 from slgaussian.errors import InputError
-from slgaussian.formats.depth_maps import DepthMap, known_depth, name_keys, read_geometry, read_map
+from slgaussian.formats.depth_maps import DepthMap, known_depth, read_geometry, read_map
 from slgaussian.formats.resampling import Window, sample_depth
 from slgaussian.gaussians import Gaussians
 from slgaussian.masks.configs import DEPTH_SUFFIXES
@@ -108,43 +109,41 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
 
 def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
     """Find and read the map of every context view; InputError as :class:`PrecomputedGeometry`."""
-    names = [view.name for view in sample.context]
     if place.is_file() and place.suffix == ".npz":
-        return _of_views(place, names)
+        return _maps_of(place, sample.context)
     if not place.is_dir():
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
     folders = (place / name for name in (sample.scene, FRAME_NUMBERS.sub("", sample.scene)))
     place = next((folder for folder in folders if folder.is_dir()), place)
-    return [_find_map(place, name) for name in names]
+    return [_find_map(place, view) for view in sample.context]
 
 
-def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
+def _maps_of(file: Path, views: Sequence[View]) -> list[DepthMap]:
     stored = read_geometry(file)
-    numbers = stored.numbers(views)
+    others = [name for view in views for name in view.namesakes]
+    numbers = stored.numbers([view.name for view in views], others)
     for view in views:
-        if view not in numbers:
+        if view.name not in numbers:
             names = ", ".join((stored.names or [])[:4])
-            raise InputError(f"{file}: has no map of view {view!r}; its names begin with {names}")
-    return [stored.maps[numbers[view]] for view in views]
+            raise InputError(
+                f"{file}: has no map of view {view.name!r}; its names begin with {names}"
+            )
+    return [stored.maps[numbers[view.name]] for view in views]
 
 
-def _find_map(folder: Path, view: str) -> DepthMap:
-    for key in dict.fromkeys(name_keys(view)):
-        files, confidence_files = (
-            [file for suffix in DEPTH_SUFFIXES if (file := folder / f"{name}{suffix}").is_file()]
-            for name in (key, f"{key}_conf")
+def _find_map(folder: Path, view: View) -> DepthMap:
+    file = companion(folder, view.name, DEPTH_SUFFIXES, view.namesakes)
+    if file is None:
+        raise InputError(
+            f"{folder}: has no depth of view {view.name!r}; expected {Path(view.name).stem} with "
+            f"one of {', '.join(DEPTH_SUFFIXES)}"
         )
-        if len(files) > 1:
-            raise InputError(f"{files[0]}: {files[1].name} is there too; remove one of them")
-        if files and files[0].suffix == ".npz":
-            return _of_views(files[0], [view])[0]
-        if files:
-            confidence = read_map(confidence_files[0], byte=True) if confidence_files else None
-            return DepthMap(str(files[0]), known_depth(read_map(files[0])), confidence)
-    raise InputError(
-        f"{folder}: has no depth of view {view!r}; expected {Path(view).stem} with one of "
-        f"{', '.join(DEPTH_SUFFIXES)}"
-    )
+    if file.suffix == ".npz":
+        return _maps_of(file, [view])[0]
+    suffixes = [f"_conf{suffix}" for suffix in DEPTH_SUFFIXES]
+    beside = companion(folder, view.name, suffixes, view.namesakes)
+    confidence = None if beside is None else read_map(beside, byte=True)
+    return DepthMap(str(file), known_depth(read_map(file)), confidence)
 
 
 def agreeing(views: Sequence[View], graph: MatchGraph) -> Matches:

@@ -17,7 +17,7 @@ from slgaussian.benchmark.external_predictions import (
     read_predictions,
     score_predictions,
 )
-from slgaussian.benchmark.outputs import mask_path, write_predictions
+from slgaussian.benchmark.outputs import mask_paths, write_predictions
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.errors import InputError
@@ -155,7 +155,7 @@ def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judg
     query = next(q for q, mask in judged.truth.masks["view_01"].items() if mask.any())
     for text in (query, "red sofa"):  # of the second there is no truth: no sample
         row = {**result.rows[0], "query": text, "protocol": "slgaussian@2"}
-        (folder / "predictions" / mask_path(row)).unlink()
+        (folder / "predictions" / mask_paths([row])[0]).unlink()
     rescored, predictions = scored(folder, judged, "slgaussian")
     rows = by_key(rescored.rows)
     row = rows["slgaussian@2", "view_01", query]
@@ -172,7 +172,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
     scene = replace(judged, scene="Zuhause, oben", truth=odd)
     plain = tmp_path / "p" / "My method!" / "slgaussian" / scene.scene / "view_01" / "café.png"
     row = {"method": "x", "protocol": "slgaussian@2", "scene": scene.scene, "query": "a?b"}
-    safe = mask_path({**row, "frame": "left/view_01.jpg"})
+    safe = mask_paths([{**row, "frame": "left/view_01.jpg"}])[0]
     safe = tmp_path / "p" / "My method!" / safe.relative_to(safe.parts[0])
     for path, mask in ((plain, query), (safe, other)):
         path.parent.mkdir(parents=True)
@@ -195,7 +195,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
     ],
 )
 def test_a_damaged_mask_is_one_sentence(folder, result, judged, damage, message):
-    file = folder / "predictions" / mask_path(result.rows[0])
+    file = folder / "predictions" / mask_paths(result.rows[:1])[0]
     file.write_bytes(damage(file.read_bytes()))
     with pytest.raises(InputError) as refused:
         scored(folder, judged, "slgaussian")

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drawn_views import SIZE, canvas, view
@@ -79,10 +81,13 @@ def test_nested_names_go_before_bare_ones(tmp_path):
     write_grey(tmp_path / "left" / "1.png", np.full(SIZE, 7))
     write_grey(tmp_path / "1.png", np.full(SIZE, 9))
     tracker = Precomputed(folder=tmp_path)
-    assert (tracker.propagate(view(canvas(), "left/1.jpg")) == 7).all()
-    assert (tracker.propagate(view(canvas(), "right/1.jpg")) == 9).all()
-    with pytest.raises(InputError, match=r"both 'right/1.jpg' and 'up/1.jpg'"):
-        tracker.propagate(view(canvas(), "up/1.jpg"))
+    names = ["left/1.jpg", "right/1.jpg"]
+    left, right = (view(canvas(), name) for name in names)
+    assert (tracker.propagate(left) == 7).all()
+    assert (tracker.propagate(right) == 9).all()
+    right = replace(right, view=right.view.among(names))
+    with pytest.raises(InputError, match=r"1.png: fits two.*'right/1.jpg' and 'left/1.jpg'"):
+        tracker.propagate(right)
 
 
 def test_other_files_do_not_change_the_digest(tmp_path):
