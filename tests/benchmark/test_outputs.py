@@ -10,7 +10,7 @@ from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.outputs import (
     clear_predictions,
     file_name,
-    mask_path,
+    mask_paths,
     write_predictions,
     write_samples,
 )
@@ -31,7 +31,7 @@ def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
         folder = tmp_path / "slgaussian" / protocol.removesuffix("@2") / result.scene / frame
         path = folder / f"{query}.png"
         metadata = {"protocol": protocol, "frame": frame, "query": query}
-        assert tmp_path / mask_path({**result.rows[0], **metadata}) == path
+        assert tmp_path / mask_paths([{**result.rows[0], **metadata}])[0] == path
         assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
 
 
@@ -50,7 +50,7 @@ def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
     emptied.mkdir(parents=True)  # the user deleted what was in it
     of_one_query = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
     clear_predictions(of_one_query, tmp_path)
-    left = {tmp_path / "predictions" / mask_path(row) for row in of_one_query} & before
+    left = {tmp_path / "predictions" / mask_paths([row])[0] for row in of_one_query} & before
     assert left and set(tmp_path.rglob("*.png")) == left | {foreign} and notes.exists()
     assert not (tmp_path / "predictions" / "other" / "slgaussian").exists()
     assert not emptied.parent.exists()
