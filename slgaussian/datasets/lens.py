@@ -17,7 +17,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats.resampling import sample_depth
 from slgaussian.scene import Camera, View
 
-OUTSIDE = -1e4  # column and row of pixels outside the lens's image, which makes them black
+OUTSIDE = -1e4  # column and row of pixels outside the lens's image, which makes them unknown
 MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW = 3.0, 175.0  # range of plausible fields of view, degrees
 
 Maps = tuple[np.ndarray, np.ndarray]
@@ -42,24 +42,33 @@ def lens_maps(
     return undistort(centred, lens, np.eye(3), centred, size, cv2.CV_32FC1)
 
 
-def straightened(view: View, maps: Maps) -> View:
+def undistort(view: View, maps: Maps) -> View:
     """Undistort a view.
 
     Colours are interpolated, depths by :func:`slgaussian.formats.resampling.sample_depth`, and a
-    pixel is opaque if more than half of it is. Pixels outside the lens's image are black, with
-    depth 0. Object ids are dropped.
+    pixel is opaque if more than half of it is. What the stored photograph does not show, beyond its
+    edge or beyond the fold of the lens, is unknown: black, not opaque, with depth 0. Object ids are
+    dropped.
     """
-    columns, rows = unfolded(*maps)
-    depth, opaque = view.depth, view.opaque
+    columns, rows = unfold(*maps)
+    height, width = columns.shape
+    shown = (columns >= -0.5) & (columns < width - 0.5) & (rows >= -0.5) & (rows < height - 0.5)
+
+    def sample(pixels: np.ndarray) -> np.ndarray:
+        # The outer half of an edge pixel has its colour.
+        return cv2.remap(pixels, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+    depth, image = view.depth, sample(view.image)
+    image[~shown] = 0
     if depth is not None:
         depth = sample_depth(depth, columns + 0.5, rows + 0.5)
-    if opaque is not None:
-        opaque = cv2.remap(opaque.astype(np.float32), columns, rows, cv2.INTER_LINEAR) > 0.5
-    image = cv2.remap(view.image, columns, rows, cv2.INTER_LINEAR)
+    if view.opaque is not None:
+        shown &= sample(view.opaque.astype(np.float32)) > 0.5
+    opaque = None if shown.all() else shown
     return replace(view, image=image, depth=depth, opaque=opaque, instances=None)
 
 
-def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
+def unfold(columns: np.ndarray, rows: np.ndarray) -> Maps:
     """Return the maps without the invalid region where the distortion polynomial folds back.
 
     Beyond the fold it would show the image a second time, mirrored. The Jacobian determinant is not

@@ -12,7 +12,7 @@ from PIL import Image
 
 from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of
 from slgaussian.datasets.exif import upright as turned_upright
-from slgaussian.datasets.lens import Maps, straightened
+from slgaussian.datasets.lens import Maps, undistort
 from slgaussian.errors import InputError
 from slgaussian.formats.images import mask_levels, opened, unreadable
 from slgaussian.scene import Camera, Scene, View
@@ -213,4 +213,4 @@ def open_view(
         visible = (alpha >= MIN_OPAQUE_ALPHA) & (True if opaque is None else opaque)
         pixels, opaque = _over_black(pixels, alpha), None if visible.all() else visible
     view = View(name, camera, pixels, depth, opaque=opaque)
-    return view if lens is None else straightened(view, lens())
+    return view if lens is None else undistort(view, lens())

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slgaussian.datasets.lens import lens_maps, straightened
+from slgaussian.datasets.lens import lens_maps, undistort
 from slgaussian.errors import InputError
 from slgaussian.formats.resampling import Window
 from slgaussian.scene import Camera, View
@@ -128,7 +128,7 @@ def test_depth_through_a_lens_is_that_of_the_surface():
     ).reshape(60, 90, 2)
     bent = 3 / (rays @ [0.3, 0.1] + 1)
     mask = rays[..., 0] < 0.1
-    view = straightened(replace(full, depth=bent.astype(np.float32), opaque=mask), maps)
+    view = undistort(replace(full, depth=bent.astype(np.float32), opaque=mask), maps)
     depth = view.depth
     truth = plane(full.camera, (0.3, 0.1, 1))
     is_known = depth > 0
@@ -136,6 +136,27 @@ def test_depth_through_a_lens_is_that_of_the_surface():
     assert abs((depth[is_known] / truth[is_known] - 1).mean()) < 1e-5
     straight = full.camera.rays()[..., 0] < 0.1
     assert (view.opaque != straight)[is_known].mean() < 0.005
+
+
+@pytest.mark.parametrize(
+    ("fisheye", "k", "empty"), [(False, 0.35, 0.1986), (False, -0.1, 0), (True, 0.6, 0.108)]
+)
+def test_what_a_lens_does_not_show_is_unknown_and_the_rest_has_its_colour(fisheye, k, empty):
+    width, height, focal = 640, 480, 500.0
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    camera = Camera(K, np.eye(4), width, height)
+    white = View("a", camera, np.full((height, width, 3), 255, np.uint8))
+    view = undistort(white, lens_maps(K, (width, height), [k], fisheye))
+    # OpenCV's models, written out: from ideal to distorted radius over focal length.
+    y, x = (np.indices((height, width)) + 0.5 - [[[height / 2]], [[width / 2]]]) / focal
+    radius = np.hypot(x, y)
+    angle = np.arctan(radius)
+    scale = angle * (1 + k * angle**2) / radius if fisheye else 1 + k * radius**2
+    u, v = x * scale * focal + width / 2, y * scale * focal + height / 2
+    shown = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    assert (~shown).mean() == pytest.approx(empty, abs=1e-3)
+    assert (view.image == np.where(shown, 255, 0)[..., None]).all()
+    assert view.opaque is None if not empty else (view.opaque == shown).all()
 
 
 def test_another_shape_is_refused_beyond_a_hundredth():
