@@ -63,6 +63,8 @@ class PairCheck:
         angle: Degrees between the two lines of sight, median of the explained matches; NaN without
             any.
         correction: Advice of the correction that makes the cameras fit, if there is one.
+        precise: Fraction of the matches that agree within the fine distance that the cameras
+            explain within it; 1 if too few agree.
     """
 
     views: tuple[str, str]
@@ -72,6 +74,7 @@ class PairCheck:
     pixels: float
     angle: float
     correction: str | None = None
+    precise: float = 1.0
 
     @property
     def judged(self) -> bool:
@@ -139,6 +142,7 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
     if not check.judged:
         return check
     uncorrected = explained(*pair, at_a, at_b, fine).sum()
+    check = replace(check, precise=float(uncorrected / max(finely, 1)))
     counts = {
         advice: explained(*correct(*pair), at_a, at_b, fine).sum()
         for advice, correct in CORRECTIONS.items()

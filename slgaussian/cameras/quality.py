@@ -26,6 +26,11 @@ below the second or clash above the second. Chosen on 26 pairs of photographs
 (`docs/measured/poses.md`): clash is 0.35 and more where depth is wrong, else at most 0.18."""
 
 
+MIN_PRECISE = 0.4
+"""Fraction of the precise matches that cameras explain as precisely, below which they contradict
+them: 0.68 and more with the cameras of annotated photographs, 0.39 with the worst poses of a
+headset, mostly below 0.3 with those of other photographs of the same scene."""
+
 CONFIDENCE_COEFFICIENTS = (2.53, 0.40, -7.92)
 """Logistic regression of right cameras, within 20 degrees: intercept, and the weights of the logit
 of the matches' confidence and of clash, by ``benches.cameras.scene_evidence``
@@ -84,10 +89,12 @@ class Quality:
     apart: int = 0
     agreement: float = 1.0
     clash: float = 0.0
+    contradicted: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """Return JSON-compatible numbers, rounded to four decimals."""
-        return {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self).items()}
+        numbers = {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self).items()}
+        return {k: v for k, v in numbers.items() if k != "contradicted" or v}
 
     def summary(self) -> str:
         """Return the measures as one line of text."""
@@ -131,7 +138,10 @@ class Quality:
                 f"views that share less than {LOW_OVERLAP:.0%} with any other: {self.apart}; "
                 "most of their depth is a guess; add photographs from between",
             )
-        if self.angle is not None and self.angle > WIDE_TRIANGULATION_ANGLE:
+        if self.contradicted:
+            cause = "the cameras contradict the matches between the photographs; check that each "
+            cause += "photograph has its own pose and intrinsics"
+        elif self.angle is not None and self.angle > WIDE_TRIANGULATION_ANGLE:
             cause = f"lines of sight are {self.angle:.0f} degrees apart; add a photograph between"
         elif self.turn > WIDE_AXIS_ANGLE:
             cause = f"cameras are turned by {self.turn:.0f} degrees; add a photograph from between"
@@ -203,5 +213,6 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
         apart=int((shared < LOW_OVERLAP).sum()),
         agreement=float(confirmed.sum() / max(met.sum(), 1)),
         clash=float(np.median([clash[pair] for pair in nearest])),
+        contradicted=sum(c.precise * c.agreeing for c in checks) < MIN_PRECISE * agreeing,
     )
     return quality, confirmed

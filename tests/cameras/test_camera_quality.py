@@ -105,3 +105,23 @@ def test_confidence_of_estimated_cameras_falls_with_clashes_and_doubtful_matches
     assert "few matches" in camera_doubt(doubted)
     assert camera_doubt({**doubted, "pairs": [{}, {}]}) == ""
     assert "62%" in camera_doubt({"confidence": 0.62, "doubt": ""})
+
+
+@pytest.mark.parametrize("first", [3, 12, 15])
+def test_poses_of_other_photographs_are_the_reason_of_a_poor_verdict(real_data, first):
+    scene = datasets.load("llff", real_data / "fern")
+    names = list(scene.cameras)
+    views = scene.sample(names[first : first + 2]).context
+    shifted = [scene.cameras[name] for name in names[first - 1 : first + 1]]
+    wrong = [
+        replace(view, camera=replace(view.camera, c2w=camera.c2w))
+        for view, camera in zip(views, shifted, strict=True)
+    ]
+    graph = MatchGraph.of(views)
+    assert check_pairs(views, graph)[0].precise > 0.9
+    assert check_pairs(wrong, graph)[0].precise < 0.3
+    poor = replace(GOOD, agreement=0.2, clash=0.4)
+    assert "something moved" in poor.verdict().reason
+    doubted = replace(poor, contradicted=True)
+    assert "the cameras contradict the matches" in doubted.verdict().reason
+    assert "contradicted" not in GOOD.as_json() and Quality(**doubted.as_json()) == doubted
