@@ -7,7 +7,9 @@ covers [0, 1] x [0, 1] and its centre is (0.5, 0.5).
 
 from __future__ import annotations
 
+import math
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,6 +29,13 @@ from slgaussian.kernels.seeding import content_of
 
 ROTATION_TOLERANCE = 1e-3
 """Largest allowed entry of ``R.T @ R - I``: accepts poses printed with four digits, not scaling."""
+
+MAX_STRETCH = 1.1
+"""Ratio of the two focal lengths above which a scene warns: pixels of photographs are square, to a
+thousandth in all real data seen."""
+
+MIN_SHARE = 0.5
+"""Fraction of the pixels of most photographs below which one that is smaller is named."""
 
 PAPER_PIXELS = 416 * 576
 """Number of pixels of the paper's images."""
@@ -366,6 +375,15 @@ class Scene:
         check_names(self.name, self.cameras)
         ordered = {name: self.cameras[name] for name in order_naturally(self.cameras)}
         self.__dict__["cameras"] = ordered
+        for name, camera in ordered.items():
+            fx, fy = camera.K[[0, 1], [0, 1]]
+            if max(fx, fy) > MAX_STRETCH * min(fx, fy):
+                warnings.warn(
+                    f"scene {self.name!r}: the focal lengths of {name!r} are {fx:.4g} across and "
+                    f"{fy:.4g} pixels down, expected equal ones, unless it is stretched",
+                    stacklevel=3,
+                )
+                break
 
     @property
     def left_out(self) -> Mapping[str, str]:
@@ -464,9 +482,27 @@ class Scene:
         photographs = (*self.cameras, *self.left_out)
         cameras = [self.cameras[name] for name in names]
         smallest = min(c.height for c in cameras), min(c.width for c in cameras)
+        if isinstance(sizes[0], str) and sizes[0] != "original":
+            self._report_smallest(names, *_fit(*smallest, sizes[0]), sizes[0])
         for name, size in zip(names, sizes, strict=True):
             view = self.read(name).among(photographs)
             yield view if size == "original" else view.resized(*_fit(*smallest, size))
+
+    def _report_smallest(self, names: Sequence[str], height: int, width: int, size: Size) -> None:
+        """Warn if one photograph leaves less than :data:`MIN_SHARE` of the others to be used."""
+        sides = np.array([(self.cameras[name].height, self.cameras[name].width) for name in names])
+        covered = (np.max((height, width) / sides, 1) ** 2) * sides.prod(1)
+        alone = [math.prod(_fit(h, w, size)) for h, w in sides.tolist()]
+        shares = np.sort(height * width / np.maximum(covered, alone))
+        if (share := shares[(len(names) - 1) // 2]) < MIN_SHARE:
+            least = int(np.argmin(np.min(sides / np.median(sides, 0), 1)))
+            h, w = sides[least]
+            warnings.warn(
+                f"scene {self.name!r}: {names[least]!r} has {w}x{h} pixels, and as all are brought "
+                f"to the smallest height and width, {share:.0%} of the pixels of others are used; "
+                "leave it out",
+                stacklevel=4,
+            )
 
 
 def _check_views(scene: str, views: Sequence[View]) -> None:

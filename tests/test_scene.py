@@ -1,5 +1,6 @@
 """Cameras, views and samples: conventions, and what is refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -165,3 +166,31 @@ def test_a_view_answers_to_its_short_names():
         scene.find("c.png")
     with pytest.raises(InputError, match=r"no view 'd.png'.*images/a.png"):
         scene.find("d.png")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "warning"),
+    [
+        ([(1600, 1200), (120, 90), (1600, 1200)], "'b' has 120x90 pixels, .* 5% of the pixels"),
+        ([(80, 60), (1600, 1200)], "'a' has 80x60 pixels, .* 2% of the pixels"),
+        (
+            [(1600, 1200), (1600, 1200), (3000, 200)],
+            "'c' has 3000x200 pixels, .* 17% of the pixels",
+        ),
+        ([(1600, 1200), (1200, 1600), (1920, 1080)], None),
+        ([(640, 480), (1600, 1200), (4000, 3000)], None),
+    ],
+)
+def test_photograph_that_leaves_few_pixels_of_the_others_is_named(sizes, warning, recwarn):
+    cameras = {n: camera(*size, x=i) for i, (n, size) in enumerate(zip("abc", sizes, strict=False))}
+    scene = Scene("s", cameras, lambda name: view(name, cameras[name]))
+    scene.sample(list(cameras))
+    scene.sample(list(cameras), size=(30, 40))
+    assert len(recwarn) == (warning is not None)
+    assert warning is None or re.search(warning, str(recwarn[0].message))
+
+
+def test_pixels_that_are_not_square_are_named():
+    K = np.array([[900.0, 0, 480], [0, 500, 270], [0, 0, 1]])
+    with pytest.warns(UserWarning, match="of 'a' are 900 across and 500 pixels down"):
+        Scene("s", {"a": Camera(K, np.eye(4), 960, 540)}, lambda name: None)
