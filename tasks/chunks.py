@@ -181,7 +181,7 @@ class Room:
         return replace(datasets.load("procedural", **self.options), name=self.name)
 
 
-@stage("packed", version=3)  # increase it also when camera estimation changes
+@stage("packed", version=4)  # increase it also when camera estimation changes
 def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     """Pack the scene of a source as a chunk of one clip: spec ``packed``.
 

@@ -107,7 +107,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=13)  # increase it also when camera estimation changes
+@stage("ingest", version=14)  # increase it also when camera estimation changes
 def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """Read the sample of a scene: spec ``sample``.
 
@@ -237,7 +237,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     return run.store.put("truth", truth_to_arrays(scene_truth, views))
 
 
-@stage("geometry", version=16)
+@stage("geometry", version=17)
 def geometry(
     run: RunContext,
     sample: ArtifactRef,

@@ -13,6 +13,7 @@ from flows.config import SceneSettings, Settings
 from flows.scenes import folder_of
 from slgaussian.checks import natural_key, order_naturally
 from slgaussian.datasets import unposed
+from slgaussian.datasets.photographs import find_file, skip_unreadable
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, choose_keyframes, glance, small
 from slgaussian.errors import InputError
@@ -90,8 +91,8 @@ def print_warnings(warnings: Sequence[str], verbose: bool) -> None:
 def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[str, Path]]:
     """Find the views of a scene given by files, folders of files, or view names.
 
-    A folder selects all photographs in it that have a camera. A photograph without an estimated
-    camera is left out with a warning. Names of the scene's views are relative to ``folder``.
+    A folder selects all photographs in it that have a camera and can be read. A photograph without
+    an estimated camera is left out with a warning. Names of the views are relative to ``folder``.
 
     Returns:
         list of (str, path): Names of views, and files, which may be missing; in natural order if
@@ -115,7 +116,8 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
                     f"{photo}: none of the {len(names)} photographs that have a camera is in this "
                     f"folder; they are in {folder}"
                 )
-            views += [(name, folder / name) for name in inside]
+            stored = {find_file(folder / name) or folder / name: name for name in inside}
+            views += [(stored[file], file) for file in skip_unreadable([*stored])]
         elif place in left_out:
             print(
                 f"warning: {photo} has no camera, as it could not be estimated, and is left out: "

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
 from slgaussian.datasets.photographs import (
-    EXTENSIONS,
+    find_file,
     has_shape,
     image_folder,
     is_there,
@@ -64,7 +64,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     If there are several models (COLMAP writes one for each group of images that it cannot connect),
     the model with most images is read, with a warning. Views are named by their path below the
     folder of photographs, as in the model, and sorted by it. Undistorted views have the focal
-    lengths and principal point of the lens; pixels outside the lens's image are black. If
+    lengths and principal point of the lens; pixels outside the lens's image are unknown. If
     photographs were downscaled (all of one camera equally), the cameras are scaled too.
 
     Args:
@@ -150,13 +150,7 @@ def model_files(folder: Path) -> list[Path]:
 
 def _file(scene: Path, folder: Path, name: str) -> Path:
     """Return the path of a photograph, which may be missing."""
-    # Some tools write downscaled photographs with another extension.
-    for start in (folder / name, scene / name):
-        alternatives = (start.with_suffix(end) for end in EXTENSIONS) if start.name else ()
-        for file in (start, *alternatives):
-            if is_there(file):
-                return file
-    return folder / name
+    return find_file(folder / name) or find_file(scene / name) or folder / name
 
 
 def _lens(

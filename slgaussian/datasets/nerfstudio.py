@@ -14,7 +14,7 @@ import os
 import re
 import warnings
 from collections import ChainMap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -25,7 +25,9 @@ import numpy as np
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
 from slgaussian.datasets.photographs import (
-    EXTENSIONS,
+    Mask,
+    find_file,
+    find_masks,
     is_there,
     name_in,
     open_view,
@@ -68,6 +70,11 @@ PIXEL_KEYS = re.compile(
 )
 """Parts of key names that indicate a lens, a distortion, a mask, a shutter or a scale."""
 
+FOCAL_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov")
+CENTRE_KEYS, MODEL_KEYS = ("cx", "cy"), ("camera_model", "is_fisheye")
+DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
+"""Keys of the parts of a lens. Each part is taken whole, from the frame or from the file."""
+
 NEUTRAL_VALUES = ("", "none", "pinhole", "perspective", "global")
 """Values of such keys, besides 0, false and null, without effect."""
 
@@ -103,9 +110,7 @@ class Frame:
     @cached_property
     def image_path(self) -> Path | None:
         """Path of the stored photograph; None if it is missing."""
-        stem = self.file.parent / self.name
-        tries = (stem, *(Path(f"{stem}{end}") for end in EXTENSIONS))
-        return next((p for p in tries if is_there(p)), None)
+        return find_file(self.file.parent / self.name)
 
     def camera(self, size: tuple[int, int] | None) -> Camera:
         """Return the camera of the undistorted view; ``size`` is used if w and h are missing."""
@@ -117,12 +122,23 @@ class Frame:
             w, h = size
         if w != int(w) or h != int(h):
             raise self.error(f"w and h are {w:g} and {h:g}, expected whole numbers of pixels")
-        fx = self._focal("x", w)
+        for keys in (FOCAL_KEYS, CENTRE_KEYS):
+            level = next((level for level in self.values.maps if level.keys() & keys), {})
+            width, height = self.number("w", w, level), self.number("h", h, level)
+            pixels = sorted(level.keys() & keys & {"fl_x", "fl_y", "cx", "cy"})
+            if pixels and (width, height) != (w, h):
+                raise self.error(
+                    f"has {w:g}x{h:g} pixels, but {', '.join(pixels)} of the file are for "
+                    f"{width:g}x{height:g}; state them in the frame"
+                )
+        fx, fy = self._part(FOCAL_KEYS, lambda level: self._focals(level, w, h))
         if fx is None:
             raise self.error("has neither fl_x nor camera_angle_x; add the focal length in pixels")
-        fy = self._focal("y", h)
-        fy = fx if fy is None else fy
-        cx, cy = self.number("cx", w / 2), self.number("cy", h / 2)
+        defaults = {"cx": w / 2, "cy": h / 2}
+        cx, cy = self._part(
+            CENTRE_KEYS,
+            lambda level: [self.number(key, defaults[key], level) for key in CENTRE_KEYS],
+        )
         try:
             c2w = np.array(self.values["transform_matrix"], np.float64).reshape(4, 4) * OPENGL_SIGNS
         except (KeyError, TypeError, ValueError):
@@ -170,36 +186,61 @@ class Frame:
                     "does not matter"
                 )
 
-    def _focal(self, axis: str, size: float) -> float | None:
-        """Return the focal length in pixels along an axis, from the first level that has one."""
-        for level in self.values.maps:
-            focal = self.number(f"fl_{axis}", values=level)
-            for key, unit in ((f"camera_angle_{axis}", 1), (f"{axis}_fov", math.pi / 180)):
-                if (angle := self.number(key, values=level)) is None:
-                    continue
-                if focal is not None:
-                    used = 2 * math.atan2(size / 2, focal) / unit
-                    if not math.isclose(angle, used, rel_tol=0.01):
-                        warnings.warn(
-                            f"{self.file}: {key} is {angle:g}, but {used:g} by the focal length "
-                            f"{axis} of {focal:g} pixels, which is used; remove the wrong one",
-                            stacklevel=2,
-                        )
-                    continue
-                if not 0 < angle * unit < math.pi:
-                    expected = "radians below pi" if unit == 1 else "degrees below 180"
-                    raise self.error(f"{key} is {angle:g}, expected {expected} and above 0")
-                focal = size / 2 / math.tan(angle * unit / 2)
+    def _part(
+        self, keys: Sequence[str], read: Callable[[Mapping[str, Any]], Sequence[Any]]
+    ) -> Sequence[Any]:
+        """Read a part of the lens from the frame if it states any of the keys, else from the file.
+
+        If both do and differ, this emits a warning: nerfstudio itself takes it from the file.
+        """
+        levels = [level for level in self.values.maps if level.keys() & keys]
+        parts = [read(level) for level in levels] or [read({})]
+        if len(parts) > 1 and not np.allclose(parts[0], parts[1], rtol=0.01, atol=1e-4):
+            frame, file = (", ".join(key for key in keys if key in level) for level in levels)
+            warnings.warn(
+                f"{self.file}: {frame} of a frame contradict {file} of the file; the frame's alone "
+                "are used, where nerfstudio uses the file's; remove the wrong ones",
+                stacklevel=2,
+            )
+        return parts[0]
+
+    def _focals(self, level: Mapping[str, Any], w: float, h: float) -> tuple[Any, Any]:
+        """Return the focal lengths in pixels of a level; a missing one equals the other."""
+        x, y = self._focal(level, "x", w), self._focal(level, "y", h)
+        return (y if x is None else x), (x if y is None else y)
+
+    def _focal(self, level: Mapping[str, Any], axis: str, size: float) -> float | None:
+        """Return the focal length in pixels along an axis, from the first key that states it."""
+        focal = self.number(f"fl_{axis}", values=level)
+        for key, unit in ((f"camera_angle_{axis}", 1), (f"{axis}_fov", math.pi / 180)):
+            if (angle := self.number(key, values=level)) is None:
+                continue
             if focal is not None:
-                return focal
-        return None
+                used = 2 * math.atan2(size / 2, focal) / unit
+                if not math.isclose(angle, used, rel_tol=0.01):
+                    warnings.warn(
+                        f"{self.file}: {key} is {angle:g}, but {used:g} by the focal length "
+                        f"{axis} of {focal:g} pixels, which is used; remove the wrong one",
+                        stacklevel=2,
+                    )
+                continue
+            if not 0 < angle * unit < math.pi:
+                expected = "radians below pi" if unit == 1 else "degrees below 180"
+                raise self.error(f"{key} is {angle:g}, expected {expected} and above 0")
+            focal = size / 2 / math.tan(angle * unit / 2)
+        return focal
 
     def lens(self, camera: Camera) -> Callable[[], Maps] | None:
         """Return a function that computes undistortion maps; None for a pinhole."""
-        k1, k2, k3, k4 = (self.number(f"k{i}", 0.0) for i in range(1, 5))
-        p1, p2 = (self.number(f"p{i}", 0.0) for i in range(1, 3))
+        k1, k2, k3, k4, p1, p2 = self._part(
+            DISTORTION_KEYS, lambda level: [self.number(key, 0.0, level) for key in DISTORTION_KEYS]
+        )
+        (is_fisheye,) = self._part(
+            MODEL_KEYS,
+            lambda level: [bool(level.get("is_fisheye")) or level.get("camera_model") == FISHEYE],
+        )
         size = (camera.width, camera.height)
-        if self.values.get("is_fisheye") or self.values.get("camera_model") == FISHEYE:
+        if is_fisheye:
             return partial(lens_maps, camera.K, size, [k1, k2, k3, k4], fisheye=True)
         if k4:
             raise self.error(f"k4 is {k4:g}, expected a camera_model {FISHEYE} with it")
@@ -225,9 +266,8 @@ class Frame:
         photograph.check_shape(path, *depth.shape[::-1])
         return photograph.depth(depth, camera.height, camera.width)
 
-    def view(self, camera: Camera) -> View:
+    def view(self, camera: Camera, mask: Mask | None) -> View:
         """Open the photograph with its mask and depth."""
-        mask = self.values.get("mask_path")
         return open_view(
             self.name,
             camera,
@@ -235,7 +275,7 @@ class Frame:
             self.file.name,
             upright=EXTENSION_KEY in self.values,
             lens=self.lens(camera),
-            mask=None if mask is None else self.place(mask),
+            mask=mask,
             depth=self.depth(camera),
         )
 
@@ -244,14 +284,17 @@ def read(path: str | Path) -> Scene:
     """Read a scene; photographs are opened and undistorted when a view is read.
 
     Views are named by their ``file_path``. Every number may be at the top level or in a frame,
-    which has priority, also under another key: the focal length is ``fl_x``, ``camera_angle_x``
+    which has priority. Focal lengths, principal point, distortion and camera model are each taken
+    whole from one of the two, with a warning if both state them and differ; and pixels of the file
+    are refused for a frame of another size. The focal length is ``fl_x``, ``camera_angle_x``
     (radians) or ``x_fov`` (degrees), the first of them, with a warning if another contradicts it;
-    likewise for y, which defaults to x. ``cx`` and ``cy`` default to the image centre; ``w`` and
-    ``h`` to the size of the first photograph that exists. ``is_fisheye`` means ``camera_model``
-    OPENCV_FISHEYE. Undistorted views have the same K; pixels outside the lens's image are black,
-    with depth 0.
+    likewise for y; a missing one equals the other. ``cx`` and ``cy`` default to the image centre;
+    ``w`` and ``h`` to the size of the first photograph that exists. ``is_fisheye`` means
+    ``camera_model`` OPENCV_FISHEYE. Undistorted views have the same K; pixels outside the lens's
+    image are unknown, with depth 0.
 
-    ``mask_path`` is a second alpha channel, see :func:`slgaussian.datasets.photographs.open_view`.
+    ``mask_path`` is a second alpha channel; without it, a mask is looked for beside the photograph
+    (:func:`slgaussian.datasets.photographs.find_masks`).
     Depth along z (:func:`slgaussian.formats.depth_maps.read_map`) is scaled by
     ``depth_unit_scale_factor`` and, like the poses, by ``applied_scale``, and resampled at the
     image's pixel centres. A view whose depth file is missing has no depth.
@@ -286,15 +329,25 @@ def read(path: str | Path) -> Scene:
     size = next((size for size in sizes if size), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
     name = file.resolve().parent.name or "scene"
-    views = {name: partial(frame.view, cameras[name]) for name, frame in frames.items()}
-    open_named, sources = partial(read_view, views, file), partial(_sources, frames)
+    masks = {
+        frame.name: Mask(frame.place(mask))
+        for frame in frames.values()
+        if (mask := frame.values.get("mask_path")) is not None
+    }
+    unmasked = (frame for frame in frames.values() if frame.name not in masks)
+    masks |= find_masks(
+        {frame.name: frame.image_path or frame.place(frame.name) for frame in unmasked}
+    )
+    views = {n: partial(frame.view, cameras[n], masks.get(n)) for n, frame in frames.items()}
+    open_named, sources = partial(read_view, views, file), partial(_sources, frames, masks)
     return Scene(name, cameras, open_named, estimation=estimation, sources=sources)
 
 
-def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:
+def _sources(frames: Mapping[str, Frame], masks: Mapping[str, Mask], name: str) -> list[Path]:
     """List the camera file and the photograph, mask and depth file of a frame."""
     frame = frames[name]
     named = [frame.place(value) for key, value in frame.values.items() if key.endswith("_path")]
+    named += [masks[name].file] if name in masks else []
     return [frame.file, *([] if frame.image_path is None else [frame.image_path]), *named]
 
 

@@ -8,6 +8,7 @@ the photographs of a folder are in natural order (:mod:`slgaussian.checks`).
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -21,13 +22,25 @@ from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.two_view import MAX_IMAGE_SIDE, Photograph
 from slgaussian.checks import order_naturally
 from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of, read_lens, upright
-from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
+from slgaussian.datasets.photographs import (
+    Mask,
+    composite,
+    find_masks,
+    photographs_of,
+    rgb,
+    scene_of,
+    skip_unreadable,
+)
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
 from slgaussian.io import file_sha256
 from slgaussian.scene import Sample, Scene, Size, View
 
 Place = str | Path
+
+FILMS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mts", ".3gp", ".wmv")
+RAW_FILES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
+"""Suffixes of films and of raw files, which are no photographs."""
 
 
 def photographs(
@@ -98,7 +111,8 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
 
 def files(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> list[Path]:
     """List the photographs of a scene, all of which influence the estimated cameras."""
-    return list(_listed(path, only).values())
+    listed = _listed(path, only)
+    return [*listed.values(), *(mask.file for mask in find_masks(listed).values())]
 
 
 def _listed(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
@@ -109,14 +123,18 @@ def _listed(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[s
 def named(places: Sequence[Place]) -> dict[str, Path]:
     """List the photographs at files and folders, by their path below the common folder.
 
-    Those in the order of letters, as in a folder or from a shell, are put in natural order.
+    Those in the order of letters, as in a folder or from a shell, are put in natural order. Of a
+    folder, files that cannot be read and thumbnails are left out with a warning.
 
     Raises:
-        InputError: If a folder has none, there are fewer than two, or one is listed twice.
+        InputError: If a folder has none, there are fewer than two, one is listed twice, or a film
+            or raw file is given.
     """
     listed: list[Path] = []
     for place in map(Path, places):
-        inside = photographs_of(place) if place.is_dir() else [place]
+        inside = skip_unreadable(photographs_of(place)) if place.is_dir() else [place]
+        for file in inside or sorted(place.iterdir()):
+            _check_kind(file)
         if not inside:
             raise InputError(
                 f"{place}: holds no photographs; expected files such as .jpg or .png there, or "
@@ -137,6 +155,18 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
     return {name: by_name[name] for name in order_naturally(names)}
 
 
+def _check_kind(file: Path) -> None:
+    """Raise InputError for a film or raw file; the picture in a raw file is a small preview."""
+    if file.suffix.lower() in FILMS:
+        frames = shlex.quote(f"{file.stem}_%04d.jpg")
+        raise InputError(
+            f"{file}: is a film; take photographs out of it, such as two a second, with "
+            f"`ffmpeg -i {shlex.quote(str(file))} -vf fps=2 -q:v 2 {frames}`, and give those"
+        )
+    if file.suffix.lower() in RAW_FILES:
+        raise InputError(f"{file}: is a raw file of a camera; develop it and save it as JPEG")
+
+
 def folder_of(files: Mapping[Any, Path]) -> Path:
     """Return the absolute path of the folder relative to which photographs are named."""
     return Path(os.path.commonpath([os.path.abspath(file.parent) for file in files.values()]))
@@ -144,34 +174,41 @@ def folder_of(files: Mapping[Any, Path]) -> Path:
 
 def find(files: Mapping[str, Path]) -> EstimatedCameras:
     """Estimate the cameras of photographs by name, cached by the files and their order."""
+    masks = find_masks(files)
     try:
-        stamped = [(name, str(file), file_sha256(file)) for name, file in files.items()]
+        stamped = [(n, str(file), file_sha256(file), masks.get(n)) for n, file in files.items()]
+        digests = [file_sha256(mask.file) for mask in masks.values()]
     except OSError as bad:
         raise InputError(
             f"{bad.filename}: cannot be read ({bad.strerror}); give the files of photographs"
         ) from None
-    return _find(tuple(stamped))
+    return _find(tuple(stamped), tuple(digests))
 
 
 @lru_cache(maxsize=8)
-def _find(files: tuple[tuple[str, str, str], ...]) -> EstimatedCameras:
-    return find_cameras([photograph(Path(file), name) for name, file, _ in files])
+def _find(
+    files: tuple[tuple[str, str, str, Mask | None], ...], masks: tuple[str, ...]
+) -> EstimatedCameras:
+    return find_cameras([photograph(Path(file), name, mask) for name, file, _, mask in files])
 
 
-def photograph(file: Path, name: str) -> Photograph:
-    """Read a photograph for the estimation of cameras: upright, downscaled, with its EXIF lens."""
+def photograph(file: Path, name: str, mask: Mask | None = None) -> Photograph:
+    """Read a photograph for the estimation of cameras: upright, downscaled, with its EXIF lens.
+
+    What the mask leaves out is black.
+    """
     try:
         with opened(file) as image:
             if image.format == "TIFF":
                 image.load()  # Pillow rotates the pixels of a TIFF while loading
-            return _photograph(image, name)
+            return _photograph(image, name, mask)
     except InputError:
         raise
     except (OSError, ValueError) as bad:
         raise unreadable(file, bad) from None
 
 
-def _photograph(image: Image.Image, name: str) -> Photograph:
+def _photograph(image: Image.Image, name: str, mask: Mask | None = None) -> Photograph:
     full_size, (lens, focal) = image.size, read_lens(image)
     orientation = orientation_of(image)
     scale = min(1.0, MAX_IMAGE_SIDE / max(full_size))
@@ -183,6 +220,8 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
     plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
     small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
     pixels = rgb(upright(small, orientation))
+    if mask is not None:
+        pixels = composite(pixels, mask.read_alpha(*pixels.shape[1::-1]))
     width, height = full_size[::-1] if orientation in SIDEWAYS_ORIENTATIONS else full_size
     return Photograph(name, pixels, width, height, lens, focal)
 

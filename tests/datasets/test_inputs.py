@@ -128,6 +128,13 @@ def changes(format: str, root: Path) -> dict:
         "photograph added": lambda: save(root / "images/view_3.png", 50),
         "same stem, other suffix added": lambda: save(files[1].with_suffix(".jpg"), 51),
     }
+
+    def add_mask():
+        (root / "masks").mkdir()
+        mask = np.repeat([[0, 255]], HEIGHT, 0).repeat(WIDTH // 2, 1).astype(np.uint8)
+        Image.fromarray(mask).save(root / "masks" / NAMES[1])
+
+    edits["mask of a requested photograph added"] = add_mask
     write = CAMERA_WRITERS[format]
     if format != "photographs":
         edits["requested camera moved"] = lambda: write(root, [0, 0.15, 0.2, 0.3])

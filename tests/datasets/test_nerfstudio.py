@@ -28,13 +28,65 @@ def write(root: Path, frames: list, images=("a.png",), **top) -> Path:
     return file
 
 
-def test_frame_keys_override_the_file_and_sizes_default_to_photographs(tmp_path):
-    frames = [frame("./a", cx=10.0), frame("b.png", fl_x=200.0)]
-    scene = nerfstudio.read(write(tmp_path, frames, ("a.png", "b.png"), w=None, cy=None))
-    first, second = scene.cameras.values()
-    assert first.K.tolist() == [[80, 0, 10], [0, 82, 32], [0, 0, 1]]
-    assert second.K.tolist() == [[200, 0, 47.3], [0, 82, 32], [0, 0, 1]]
-    assert (scene.read(scene.find("a")).image == picture(0)).all()
+def test_sizes_default_to_photographs_and_suffixes_are_found(tmp_path):
+    frames = [frame("./a"), frame("b.png")]
+    scene = nerfstudio.read(write(tmp_path, frames, ("a.WebP", "b.png"), w=None, cy=None))
+    for camera in scene.cameras.values():
+        assert camera.K.tolist() == [[80, 0, 47.3], [0, 82, 32], [0, 0, 1]]
+    assert scene.read(scene.find("a")).image.shape == picture(0).shape
+    (tmp_path / "a.jpg").write_bytes((tmp_path / "a.WebP").read_bytes())
+    with pytest.raises(InputError, match=r"a: may be a\.WebP or a\.jpg; remove"):
+        nerfstudio.read(tmp_path)
+
+
+WIDE = 2 * np.arctan(WIDTH / 2 / 90)  # angle of a focal length of 90 pixels
+
+
+@pytest.mark.parametrize(
+    ("keys", "top", "expected", "contradiction"),
+    [
+        (
+            {"camera_angle_x": WIDE},
+            {},
+            (90, 90, 47.3, 33.1),
+            "camera_angle_x of a frame contradict",
+        ),
+        ({"fl_y": 100.0}, {}, (100, 100, 47.3, 33.1), "fl_y of a frame contradict fl_x, fl_y of"),
+        ({"cx": 10.0}, {}, (80, 82, 10, 32), "cx of a frame contradict cx, cy of the file"),
+        ({"fl_x": 80.0, "fl_y": 82.1}, {}, (80, 82.1, 47.3, 33.1), None),
+        ({"fl_x": 90.0}, {"fl_x": None, "fl_y": None, "x_fov": 70.0}, (90, 90, 47.3, 33.1), "fl_x"),
+        ({"camera_angle_x": WIDE}, {"fl_x": None, "fl_y": None}, (90, 90, 47.3, 33.1), None),
+        ({}, {"fl_y": None, "y_fov": np.degrees(WIDE)}, None, "focal lengths of 'a.png' are 80"),
+    ],
+)
+def test_part_of_a_lens_is_taken_whole_from_one_level(tmp_path, keys, top, expected, contradiction):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        K = nerfstudio.read(write(tmp_path, [frame("a.png", **keys)], **top)).cameras["a.png"].K
+    if expected is not None:
+        assert (K[0, 0], K[1, 1], K[0, 2], K[1, 2]) == pytest.approx(expected)
+    messages = [str(warning.message) for warning in caught]
+    assert len(messages) == (contradiction is not None)
+    assert all(contradiction in message for message in messages)
+
+
+def test_distortion_of_a_frame_replaces_that_of_the_file(tmp_path):
+    images = []
+    for top, keys in (({"k1": 0.1, "k2": 0.5}, {"k1": 0.2}), ({}, {"k1": 0.2}), ({"k1": 0.2}, {})):
+        scene = nerfstudio.read(write(tmp_path, [frame("a.png", **keys)], **top))
+        if top and keys:
+            with pytest.warns(UserWarning, match="k1 of a frame contradict k1, k2 of the file"):
+                scene.read("a.png")
+        images.append(scene.read("a.png").image)
+    assert (images[0] == images[1]).all() and (images[1] == images[2]).all()
+
+
+def test_pixels_of_the_file_are_refused_for_a_frame_of_another_size(tmp_path):
+    file = write(tmp_path, [frame("a.png", w=48, h=32, cx=24, cy=16)])
+    with pytest.raises(
+        InputError, match="has 48x32 pixels, but fl_x, fl_y of the file are for 96x"
+    ):
+        nerfstudio.read(file)
 
 
 def read_depth(tmp_path, values, **top) -> np.ndarray | None:
@@ -101,9 +153,9 @@ def test_truncated_or_resized_photograph_is_refused_by_name(tmp_path, name):
         ([frame("a.png", transform_matrix=[[1, 2], [3]])], {}, "has no transform_matrix of 4x4"),
         ([frame("a.png", transform_matrix=(2 * np.eye(4)).tolist())], {}, "not a rotation"),
         ([frame("a.png", fl_x="wide")], {}, "fl_x is 'wide', expected a finite number"),
-        ([frame("a.png", fl_x=-5)], {}, "focal lengths -5, 82 must be positive"),
+        ([frame("a.png", fl_x=-5)], {}, "focal lengths -5, -5 must be positive"),
         ([frame("a.png", w=90.5)], {}, "w and h are 90.5 and 64"),
-        ([frame("a.png")], {"fl_x": None}, "neither fl_x nor camera_angle_x"),
+        ([frame("a.png")], {"fl_x": None, "fl_y": None}, "neither fl_x nor camera_angle_x"),
         ([frame("a.png")], {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' cannot be read"),
         ([frame("a.png")], {"is_fisheye": "false"}, "is_fisheye is 'false', expected true or"),
         ([frame("a.png", is_fisheye=True)], {"camera_model": "OPENCV"}, "is_fisheye is True"),
@@ -128,14 +180,17 @@ def test_invalid_file_is_refused_by_name(tmp_path, frames, top, refusal):
         ({"camera_angle_x": 0.54}, "camera_angle_x is 0.54, but 1.08084 by the focal length x of"),
         ({"camera_angle_x": 62.0}, "camera_angle_x is 62, but 1.08084 by"),
         ({"y_fov": 60.0}, "y_fov is 60, but 42.6"),
-        ({"fl_x": None, "camera_angle_x": 1.2, "x_fov": 60.0}, "x_fov is 60, but 68.7549 by"),
+        (
+            {"fl_x": None, "fl_y": None, "camera_angle_x": 1.2, "x_fov": 60.0},
+            "x_fov is 60, but 68.7549 by",
+        ),
     ],
 )
 def test_contradicting_focal_keys_are_warned_of_and_the_first_is_used(
     tmp_path, keys, contradiction
 ):
     frames = [frame("a.png"), frame("b.png")]
-    first = {"fl_x": None, "camera_angle_x": 1.2} if "fl_x" in keys else {}
+    first = {"fl_x": None, "fl_y": None, "camera_angle_x": 1.2} if "fl_x" in keys else {}
     K = nerfstudio.read(write(tmp_path, frames, **first)).cameras["a.png"].K
     file = write(tmp_path, frames, **keys)
     with warnings.catch_warnings(record=True) as caught:
@@ -196,7 +251,7 @@ def test_mask_has_the_effect_of_an_equal_alpha_channel(tmp_path, lens):
     with pytest.raises(InputError, match=r"m\.png: cannot be read"):
         scene.read("a.png")
     Image.fromarray(mask[:30]).save(tmp_path / "m.png")
-    with pytest.raises(InputError, match=r"m\.png: has \(30, 96\) pixels"):
+    with pytest.raises(InputError, match=r"m\.png: is 96x30, of another shape"):
         scene.read("a.png")
     Image.fromarray(mask).save(tmp_path / "m.png")
     masked, with_alpha = scene.read("a.png"), scene.read("rgba.png")
