@@ -99,6 +99,9 @@ class SceneGeometry:
         surfaces and cameras after matching.
         """
         depths = source_depths(gaussians, [view.camera for view in views])
+        for view, depth in zip(views, depths, strict=True):
+            if view.opaque is not None:
+                depth[~view.opaque] = 0  # Gaussians of other views project there
         return SceneGeometry(
             tuple(SeenView(view, depth) for view, depth in zip(views, depths, strict=True))
         )

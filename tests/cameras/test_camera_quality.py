@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from slgaussian import datasets
+from slgaussian.build import predict
 from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, camera_doubt, measure
+from slgaussian.components.method import Method
 from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.scene import Camera, Sample, View
 from tests.cameras.walls import FAR, two_rows
@@ -105,6 +107,16 @@ def test_confidence_of_estimated_cameras_falls_with_clashes_and_doubtful_matches
     assert "few matches" in camera_doubt(doubted)
     assert camera_doubt({**doubted, "pairs": [{}, {}]}) == ""
     assert "62%" in camera_doubt({"confidence": 0.62, "doubt": ""})
+
+
+def test_masked_pixels_have_no_depth_and_contradict_nothing(room):
+    opaque = np.arange(216) < np.full((156, 1), 108)
+    first = replace(room.context[0], opaque=opaque, image=room.context[0].image * opaque[..., None])
+    sample = replace(room, context=(first, room.context[1]))
+    predicted = predict(sample, MatchGraph.of(sample.context), Method().predictor, 0)
+    assert not predicted.geometry.depths[0][~opaque].any()
+    assert (predicted.geometry.depths[0][opaque] > 0).mean() > 0.9
+    assert predicted.quality.clash < 0.1
 
 
 @pytest.mark.parametrize("first", [3, 12, 15])
