@@ -7,7 +7,7 @@ import re
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from slgaussian.datasets.lens import Maps, undistort
 from slgaussian.errors import InputError
 from slgaussian.formats.images import mask_levels, opened, unreadable
 from slgaussian.formats.resampling import Window
+from slgaussian.io import file_stamp
 from slgaussian.scene import PAPER_PIXELS, Camera, Scene, View
 
 EXTENSIONS = (
@@ -29,8 +30,11 @@ EXTENSIONS = (
 )  # fmt: skip
 """Suffixes of photographs, in lower case."""
 
-SYSTEM_FILES = ("thumbs.db", "desktop.ini")
-"""Files of Windows, in lower case, that are passed over without a word, as hidden ones are."""
+IGNORED_FILES = re.compile(
+    r"(license|readme|copying).*|(thumbs\.db|desktop\.ini)|.*\.(json|npy|npz|txt|md|bin|db|csv|toml)"
+)
+"""Files, in lower case, that are passed over without a word, as hidden ones are: those of Windows,
+and data and texts that belong to a set of photographs."""
 
 MASK_FOLDER = re.compile(r"masks?(_\d+)?")
 MASK_ENDS = ("_mask.png", ".mask.png", ".alpha.png")
@@ -166,7 +170,7 @@ def photographs_in(folder: Path) -> list[Path]:
     pictures = {path for path in files if path.suffix.lower() in EXTENSIONS}
     stems = {part for path in pictures for part in (path.name, path.stem)}
     photographs = sorted(path for path in pictures if not _is_mask(path.name, stems))
-    ignored = {path for path in files if path.name.lower() in SYSTEM_FILES}
+    ignored = {path for path in files if IGNORED_FILES.fullmatch(path.name.lower())}
     if photographs and (others := sorted(p.name for p in {*files} - pictures - ignored)):
         warnings.warn(
             f"{folder}: files that are no photographs of a known format are passed over, "
@@ -195,14 +199,13 @@ def skip_unreadable(files: Sequence[Path]) -> list[Path]:
     problems: list[InputError] = []
     for file in files:
         try:
-            with opened(file) as image:
-                count = image.width * image.height
-                image.draft("RGB", (1, 1))  # decodes a JPEG all the same, in a third of the time
-                rgb(image)
-            pixels[file] = count
-        except (OSError, ValueError) as bad:
-            missing = InputError(f"{file}: is missing")
-            problems.append(unreadable(file, bad) if file.exists() else missing)
+            stamp = file_stamp(file)
+            count = _count_pixels if stamp else _count_pixels.__wrapped__
+            pixels[file] = count(file, stamp)
+        except InputError as bad:
+            problems.append(bad)
+        except OSError:
+            problems.append(InputError(f"{file}: is missing"))
     if problems and not pixels:
         raise problems[0]
     usual = min(float(np.median([*pixels.values(), PAPER_PIXELS])), PAPER_PIXELS)
@@ -212,6 +215,19 @@ def skip_unreadable(files: Sequence[Path]) -> list[Path]:
     for text in (*map(str, problems), *texts):
         warnings.warn(f"{text}; it is left out, name it to use it", stacklevel=2)
     return [file for file in pixels if file not in small]
+
+
+@lru_cache(maxsize=4096)
+def _count_pixels(file: Path, stamp: object) -> int:
+    """Decode a photograph, once for each ``stamp``, and return its number of pixels."""
+    try:
+        with opened(file) as image:
+            count = image.width * image.height
+            image.draft("RGB", (1, 1))  # decodes a JPEG all the same, in a third of the time
+            rgb(image)
+    except (OSError, ValueError) as bad:
+        raise unreadable(file, bad) from None
+    return count
 
 
 def photographs_of(scene: Path) -> list[Path]:
