@@ -108,10 +108,13 @@ def predict(
     if not trust_cameras:
         refuse(sample.scene, checks, any(view.camera.estimated for view in sample.context))
     loaded, depths = predictor.load(), None
+    # No predictor, of another package either, has to know of far cameras and other units.
+    local, frame = sample.localize()
     if isinstance(loaded, CountingPredictor):
-        gaussians, depths = loaded.counted(sample, seed, graph)
+        gaussians, depths = loaded.counted(local, seed, graph)
     else:
-        gaussians = loaded(sample, seed, graph)
+        gaussians = loaded(local, seed, graph)
+    gaussians = gaussians.place(frame)
     opaque = _opaque(sample.context)
     if opaque is not None:
         gaussians = gaussians[opaque.ravel()[gaussians.to_arrays()["source"]]]

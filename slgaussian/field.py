@@ -413,7 +413,8 @@ class SemanticField:
         depths = [self._whole[name][1] for name in cameras]
         masks = [np.isin(self._whole[name][0], ids) for name in cameras]
         means = self.gaussians.to_arrays()["means"]
-        return gone | boundary_gaussians(means, gone, list(cameras.values()), depths, masks)
+        local_cameras = [self.gaussians.localize(camera) for camera in cameras.values()]
+        return gone | boundary_gaussians(means, gone, local_cameras, depths, masks)
 
     @cached_property
     def _whole(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -7,14 +7,14 @@ Spherical harmonics follow the standard 3D Gaussian splatting convention (Kerbl 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.io import short_repr
-from slgaussian.scene import Camera
+from slgaussian.scene import Camera, Frame
 
 if TYPE_CHECKING:  # queries and rendering on the CPU must not import torch, which takes a second
     import torch
@@ -73,6 +73,9 @@ class Gaussians:
         guessed: bool [N] or None. True if no second view confirms the depth
             (:func:`slgaussian.build.predict`). Predictors set it for occluded Gaussians and those
             outside the views. None if unknown.
+        origin: float64 [3]. Point of the world to which ``means`` are relative, zero unless
+            float32 cannot hold them in the world (:func:`slgaussian.scene.local_origin`). Cameras
+            are in the world; :meth:`localize` brings one to the means.
 
     Raises:
         InputError: If shapes disagree; :meth:`check` checks the values.
@@ -86,6 +89,7 @@ class Gaussians:
     source: _Tensor[torch.Tensor] = _Tensor()
     features: _Tensor[torch.Tensor | None] = _Tensor(optional=True)
     guessed: _Tensor[torch.Tensor | None] = _Tensor(optional=True)
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3), repr=False)
 
     __repr__ = short_repr
 
@@ -98,6 +102,8 @@ class Gaussians:
             expected = (n, *(shape[1:] if name == "features" else tails[name]))
             if shape != expected:
                 raise InputError(f"gaussians {name}: found shape {shape}, expected {expected}")
+        if np.shape(self.origin) != (3,) or not np.isfinite(self.origin).all():
+            raise InputError(f"gaussians origin: found {self.origin}, expected 3 finite numbers")
 
     def __len__(self) -> int:
         return int(self.__dict__["means"].shape[0])
@@ -106,16 +112,29 @@ class Gaussians:
         """Select Gaussians by a boolean mask [N] or indices, as array or tensor."""
         if isinstance(keep, np.ndarray):
             if all(isinstance(value, np.ndarray) for _, value in self._present()):
-                return Gaussians.from_arrays({name: value[keep] for name, value in self._present()})
+                return self.with_arrays(**{name: value[keep] for name, value in self._present()})
             import torch
 
             keep = torch.from_numpy(keep)
         return replace(self, **{name: value[keep] for name, value in self.items()})
 
+    def localize(self, camera: Camera) -> Camera:
+        """Return a camera of the world in the coordinates of ``means``."""
+        return camera.relative_to(self.origin)
+
+    def place(self, frame: Frame) -> Gaussians:
+        """Return Gaussians of a local frame in the unit of the world, with the frame's origin."""
+        if frame.unit == 1 and not frame.origin.any():
+            return self
+        unit = np.float32(frame.unit)
+        arrays = {name: self.to_arrays()[name] * unit for name in ("means", "scales")}
+        origin = frame.origin + frame.unit * self.origin
+        return replace(self.with_arrays(**arrays), origin=origin)
+
     def _present(self) -> list[tuple[str, Any]]:
-        """Return the (name, tensor or array) pairs that are not None, without conversion."""
-        stored = self.__dict__
-        return [(f.name, stored[f.name]) for f in fields(self) if stored.get(f.name) is not None]
+        """Return the (name, tensor or array [N, ...]) pairs that are not None, unconverted."""
+        stored, names = self.__dict__, (f.name for f in fields(self) if f.name != "origin")
+        return [(name, stored[name]) for name in names if stored.get(name) is not None]
 
     @property
     def is_cuda(self) -> bool:
@@ -159,8 +178,12 @@ class Gaussians:
         return self.sh[:, 0] * SH_C0 + 0.5
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return NumPy arrays by field name, as stored in ``gaussians.npz``."""
-        return {name: _to_array(value) for name, value in self._present()}
+        """Return NumPy arrays by field name, as stored in ``gaussians.npz``.
+
+        ``origin`` is among them unless it is zero.
+        """
+        arrays = {name: _to_array(value) for name, value in self._present()}
+        return {**arrays, "origin": self.origin} if self.origin.any() else arrays
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> Gaussians:
@@ -173,21 +196,20 @@ class Gaussians:
 
     def with_arrays(self, **arrays: np.ndarray) -> Gaussians:
         """Return a copy with some fields replaced; the other fields are shared."""
-        stored: Any = {**dict(self._present()), **arrays}
-        return Gaussians(**stored)
+        changed: Any = {**dict(self._present()), **arrays}
+        return replace(self, **changed)
 
     @staticmethod
     def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
-        """Concatenate Gaussians, which must have the same fields."""
+        """Concatenate Gaussians, which must have the same fields and origin."""
         names = [name for name, _ in parts[0]._present()]
         if all(isinstance(value, np.ndarray) for part in parts for _, value in part._present()):
             several = [part.to_arrays() for part in parts]
-            return Gaussians.from_arrays(
-                {n: np.concatenate([a[n] for a in several]) for n in names}
-            )
+            return parts[0].with_arrays(**{n: np.concatenate([a[n] for a in several]) for n in names})
         import torch
 
-        return Gaussians(**{n: torch.cat([getattr(part, n) for part in parts]) for n in names})
+        joined = {n: torch.cat([getattr(part, n) for part in parts]) for n in names}
+        return replace(parts[0], **joined)
 
 
 def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:
@@ -240,7 +262,7 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
     source, means = arrays["source"], arrays["means"].astype(np.float64)
     for index, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
         in_view = source // (H * W) == index
-        pixels, z = camera.project(means)
+        pixels, z = gaussians.localize(camera).project(means)
         depth[source[in_view] % (H * W)] = z[in_view]
         if not in_view.any() or (depth > 0).all():
             continue

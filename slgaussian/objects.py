@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,7 +79,8 @@ def list_objects(
         rows = np.searchsorted(bank.ids, look.ids[labelled])
         areas += np.bincount(rows, minlength=len(bank))
         sums += np.bincount(rows, look.confidence[labelled], minlength=len(bank))
-    up = find_room(cameras, [look.depth for look in looks]).up
+    local_cameras = [field.gaussians.localize(camera) for camera in cameras]
+    up = find_room(local_cameras, [look.depth for look in looks]).up
     means, labels = field.gaussians.to_arrays()["means"], field.labels()
     order = np.argsort(labels, kind="stable")
     estimated = any(camera.estimated for camera in cameras)
@@ -95,12 +96,17 @@ def list_objects(
                 words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
                 gaussians=len(members),
-                box=upright_box(means[members], up) if len(members) else None,
+                box=_box(means[members], up, field.gaussians.origin) if len(members) else None,
                 metres=False if estimated else None,
                 views=tuple(views[view] for view in np.flatnonzero(bank.present[row]).tolist()),
             )
         )
     return objects
+
+
+def _box(means: np.ndarray, up: np.ndarray, origin: np.ndarray) -> Box:
+    box = upright_box(means, up)
+    return replace(box, centre=box.centre + origin)
 
 
 def words_for(encoder: Encoder) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -36,6 +36,10 @@ thousandth in all real data seen."""
 
 MIN_SHARE = 0.5
 """Fraction of the pixels of most photographs below which one that is smaller is named."""
+MAX_DISTANCE_RATIO = 100.0
+"""Largest distance from the origin of the world, in spreads of the positions themselves, at which
+float32 holds them: it rounds by 6e-8 of the distance, so a point moves by at most 6e-6 of the
+baseline, and in the image by that share of its disparity, under a thousandth of a pixel."""
 
 PAPER_PIXELS = 416 * 576
 """Number of pixels of the paper's images."""
@@ -139,6 +143,15 @@ class Camera:
         if self.far is not None and not (self.near or 0) < self.far < np.inf:
             raise InputError(f"camera far: found {self.far}, expected a number above near")
         self.__dict__.update(K=K, c2w=c2w, width=int(self.width), height=int(self.height))
+
+    def relative_to(self, origin: np.ndarray, unit: float = 1.0) -> Camera:
+        """Return the camera in a world whose origin float64 [3] and unit are given in this one."""
+        if not origin.any() and unit == 1:
+            return self
+        c2w = self.c2w.copy()
+        c2w[:3, 3] = (self.center - origin) / unit
+        near, far = (None if bound is None else bound / unit for bound in (self.near, self.far))
+        return replace(self, c2w=c2w, near=near, far=far)
 
     def ranged(self, near: float | None, far: float | None) -> Camera:
         """Return the camera with another depth range along z, scene units; None keeps a bound."""
@@ -347,6 +360,22 @@ class Sample:
             targets=tuple(view.resized(height, width) for view in self.targets),
         )
 
+    def localize(self) -> tuple[Sample, Frame]:
+        """Return the sample in the coordinates in which Gaussians are predicted, and their frame.
+
+        They are those of the world unless its origin is far away or its unit unusual, so that the
+        result of float32 arithmetic depends on neither.
+        """
+        centers = np.array([view.camera.center for view in self.context])
+        baseline = float(np.linalg.norm(centers - centers[0], axis=1).max())
+        frame = Frame(local_origin(centers), thousand_power(baseline))
+        views = [
+            tuple(replace(view, camera=view.camera.relative_to(*frame)) for view in views)
+            for views in (self.context, self.targets)
+        ]
+        usual = not frame.origin.any() and frame.unit == 1
+        return (self if usual else replace(self, context=views[0], targets=views[1])), frame
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -503,6 +532,39 @@ class Scene:
                 "leave it out",
                 stacklevel=4,
             )
+
+
+class Frame(NamedTuple):
+    """Local coordinates: their origin float64 [3] and their unit, in those of the world."""
+
+    origin: np.ndarray
+    unit: float
+
+
+def thousand_power(length: float) -> float:
+    """Return the power of 1000 nearest to a length: 1 from 0.032 to 31 scene units."""
+    return 1000.0 ** round(math.log(length, 1000))
+
+
+def local_origin(positions: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """Choose the point to which positions [N, 3] in the world are relative where they are float32.
+
+    Returns:
+        float64 [3]: Zero, or for positions beyond :data:`MAX_DISTANCE_RATIO`, such as UTM or
+            Earth-centred coordinates, a point near their mean with few decimal digits.
+    """
+    positions = np.asarray(positions, np.float64).reshape(-1, 3)
+    if not len(positions):
+        return np.zeros(3)
+    middle = positions.mean(0)
+    distance = float(np.linalg.norm(middle))
+    # Twice the radius is the baseline of a pair. Positions may all be the same.
+    spread = max(2 * float(np.linalg.norm(positions - middle, axis=1).max()), 1e-9 * distance)
+    if not distance > MAX_DISTANCE_RATIO * spread:
+        return np.zeros(3)
+    # A round number, and so far off that the offset of a survey is taken out whole.
+    origin: np.ndarray = np.round(middle, -int(np.floor(np.log10(MAX_DISTANCE_RATIO * spread))))
+    return origin
 
 
 def _check_views(scene: str, views: Sequence[View]) -> None:

@@ -115,7 +115,8 @@ def render(
             raise InputError(f"{path}: has cameras of several sizes, and a video has one")
     elif orbit is not None:
         cameras = cameras if camera is None else cameras_in(camera)
-        turn = paths.orbit(list(cameras.values()), gaussians.means.numpy(), orbit)
+        points = gaussians.means.numpy() + gaussians.origin
+        turn = paths.orbit(list(cameras.values()), points, orbit)
         shots = {f"turn {number} of {orbit}": shot for number, shot in enumerate(turn, 1)}
     else:
         shots = choose_cameras(source, cameras, view, camera, between)
@@ -152,7 +153,8 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
     rendered = picture(gaussians, seen_colors(gaussians, camera), camera)
     visible = rendered.alpha >= MIN_WEIGHT
     if not visible.any():
-        middle = ", ".join(f"{x:.3g}" for x in gaussians.means.median(0).values.tolist())
+        median = gaussians.means.median(0).values.numpy() + gaussians.origin
+        middle = ", ".join(f"{x:.3g}" for x in median.tolist())
         typer.echo(
             f"hardly anything of {file} is in view: the middle of its {len(gaussians)} Gaussians "
             f"is at ({middle}), the camera at "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -96,12 +96,15 @@ class SceneGeometry:
         """Compute the geometry of the views from which Gaussians were predicted.
 
         Depth is that of the Gaussians in the given cameras, because a predictor may have refined
-        surfaces and cameras after matching.
+        surfaces and cameras after matching. The views of the result are in the coordinates of the
+        Gaussians' means, in which float32 holds positions.
         """
         depths = source_depths(gaussians, [view.camera for view in views])
         for view, depth in zip(views, depths, strict=True):
             if view.opaque is not None:
                 depth[~view.opaque] = 0  # Gaussians of other views project there
+        if gaussians.origin.any():
+            views = [replace(view, camera=gaussians.localize(view.camera)) for view in views]
         return SceneGeometry(
             tuple(SeenView(view, depth) for view, depth in zip(views, depths, strict=True))
         )

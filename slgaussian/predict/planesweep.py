@@ -84,12 +84,13 @@ class PlaneSweep(PlaneSweepConfig):
         self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
     ) -> tuple[Gaussians, Depths]:
         """Predict as by a call, and count the depth candidates; raises as a call."""
+        sample, frame = sample.localize()
         views = sample.context
         ranged = all(None not in (view.camera.near, view.camera.far) for view in views)
         linked = link_views(views, graph or MatchGraph.of(views), ranged)
         swept = sweep(self, sample, linked.links)
         depths = Depths(sum(len(s.steps) for s in swept), len(swept) * self.depth_candidates)
-        return assemble(sample, linked, swept), depths
+        return assemble(sample, linked, swept).place(frame), depths
 
 
 def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> Gaussians:

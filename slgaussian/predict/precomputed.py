@@ -96,6 +96,7 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
         """Predict Gaussians in the world frame of ``sample``; the result ignores ``seed``."""
         assert self.geometry is not None  # checked by __init__
+        sample, frame = sample.localize()
         views = sample.context
         matches = graph or MatchGraph.of(views)
         maps = find_maps(self.geometry, sample)
@@ -104,7 +105,8 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
         swept, low = _swept(sample, linked, depths, confidences)
         gaussians = assemble(sample, linked, swept)
         arrays = gaussians.to_arrays()
-        return gaussians.with_arrays(guessed=arrays["guessed"] | low.ravel()[arrays["source"]])
+        guessed = arrays["guessed"] | low.ravel()[arrays["source"]]
+        return gaussians.with_arrays(guessed=guessed).place(frame)
 
 
 def find_maps(place: Path, sample: Sample) -> list[DepthMap]:

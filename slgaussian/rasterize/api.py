@@ -99,7 +99,7 @@ def rasterize(
     if backend == "auto":
         backend = "cuda" if gaussians.means.is_cuda else "cpu"
     draw = resolve("rasterizer", BACKENDS, backend)
-    return draw(gaussians, values, camera, settings, median)
+    return draw(gaussians, values, gaussians.localize(camera), settings, median)
 
 
 def check_inputs(gaussians: Gaussians, values: torch.Tensor | np.ndarray) -> None:

@@ -116,6 +116,7 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
         InputError: If there is no camera, they differ in size, or a source is outside of them.
     """
     rows = _rows_of_pixels(gaussians.to_arrays()["source"], cameras)
+    local_cameras = [gaussians.localize(camera) for camera in cameras]
     levels = [_pixel_level(rows, gaussians)]
     sizes = np.ones(rows.shape, np.int64)  # side of the cell of each pixel
     for power in range(1, HALVINGS + 1):
@@ -147,7 +148,7 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
             # Include Gaussians behind surfaces, which may shine through.
             for v in np.flatnonzero(np.array(squares) > MAX_VIEW_CHANGE**2):
                 restored[v], depths[v] = np.ones_like(restored[v]), np.full_like(depths[v], np.inf)
-        _restore_cells(sizes, levels, restored, cameras, depths)
+        _restore_cells(sizes, levels, restored, local_cameras, depths)
     return Merged(gaussians, np.arange(len(gaussians)), Change())
 
 
@@ -333,7 +334,7 @@ def _merge_cells(
     decided by majority.
     """
     arrays = gaussians.to_arrays()
-    arrays_out = {name: array.copy() for name, array in arrays.items()}
+    arrays_out = {name: array.copy() for name, array in arrays.items() if name != "origin"}
     leaders = np.arange(len(gaussians))  # of each Gaussian the first of its cell
     for size in np.unique(sizes[sizes > 1]).tolist():
         v, y, x = (k[:, None, None] for k in np.nonzero(sizes[:, ::size, ::size] == size))
@@ -347,7 +348,7 @@ def _merge_cells(
             arrays_out["guessed"][first] = arrays["guessed"][members].mean((1, 2)) > 0.5
         arrays_out["scales"][first] = _scales(arrays, members)
     is_leader = leaders == np.arange(len(gaussians))
-    merged = Gaussians.from_arrays({name: array[is_leader] for name, array in arrays_out.items()})
+    merged = gaussians.with_arrays(**arrays_out)[is_leader]
     return merged, (np.cumsum(is_leader) - 1)[leaders]
 
 

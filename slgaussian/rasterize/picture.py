@@ -49,8 +49,8 @@ def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture
     settings, arrays = PRESETS["fast"], gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
     drawn, _ = splatted(
-        gaussians, geometry, np.ascontiguousarray(values, np.float32), eye_of(camera, settings),
-        settings, False,
+        gaussians, geometry, np.ascontiguousarray(values, np.float32),
+        eye_of(gaussians.localize(camera), settings), settings, False,
     )  # fmt: skip
     return Picture(*drawn)
 

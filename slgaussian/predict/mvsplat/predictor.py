@@ -84,6 +84,7 @@ class MVSplat(MVSplatConfig):
         Raises:
             InputError: If near is not below far, or images are smaller than 16 pixels a side.
         """
+        sample, frame = sample.localize()
         near, far = _range(sample, graph)
         views = [_crop(sample.scene, view) for view in sample.context]
         cameras = [_scale(view.camera, NEAR / near) for view in views]
@@ -100,7 +101,8 @@ class MVSplat(MVSplatConfig):
         for name in ("means", "scales"):
             fields[name].div_(NEAR / near)
         source = _source_indices(sample.context[0].camera, cameras)
-        return Gaussians(**fields, opacities=output.opacity.flatten().cpu(), source=source)
+        opacities = output.opacity.flatten().cpu()
+        return Gaussians(**fields, opacities=opacities, source=source).place(frame)
 
 
 def _range(sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
