@@ -118,6 +118,12 @@ class Gaussians:
             keep = torch.from_numpy(keep)
         return replace(self, **{name: value[keep] for name, value in self.items()})
 
+    def reach(self, camera: Camera) -> float:
+        """Return the distance from ``camera`` of the 95th percentile of a sample of the means."""
+        means = _to_array(self.__dict__["means"][:: -(-len(self) // 1000) or 1])
+        offsets = means.astype(np.float64) - self.localize(camera).center
+        return float(np.percentile(np.linalg.norm(offsets, axis=1), 95)) if len(means) else 1.0
+
     def localize(self, camera: Camera) -> Camera:
         """Return a camera of the world in the coordinates of ``means``."""
         return camera.relative_to(self.origin)
@@ -204,12 +210,11 @@ class Gaussians:
         """Concatenate Gaussians, which must have the same fields and origin."""
         names = [name for name, _ in parts[0]._present()]
         if all(isinstance(value, np.ndarray) for part in parts for _, value in part._present()):
-            several = [part.to_arrays() for part in parts]
-            return parts[0].with_arrays(**{n: np.concatenate([a[n] for a in several]) for n in names})
+            joined = {n: np.concatenate([part.__dict__[n] for part in parts]) for n in names}
+            return parts[0].with_arrays(**joined)
         import torch
 
-        joined = {n: torch.cat([getattr(part, n) for part in parts]) for n in names}
-        return replace(parts[0], **joined)
+        return replace(parts[0], **{n: torch.cat([getattr(p, n) for p in parts]) for n in names})
 
 
 def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:

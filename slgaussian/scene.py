@@ -36,6 +36,10 @@ thousandth in all real data seen."""
 
 MIN_SHARE = 0.5
 """Fraction of the pixels of most photographs below which one that is smaller is named."""
+ROUNDING = 1e-13
+"""Distance of two positions in the world, as a share of their coordinates, up to which they are one
+position computed in two ways in float64."""
+
 MAX_DISTANCE_RATIO = 100.0
 """Largest distance from the origin of the world, in spreads of the positions themselves, at which
 float32 holds them: it rounds by 6e-8 of the distance, so a point moves by at most 6e-6 of the
@@ -572,8 +576,7 @@ def _check_views(scene: str, views: Sequence[View]) -> None:
     has_baseline = False
     for a, b in combinations(views, 2):
         baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
-        size = max(np.abs(a.camera.center).max(), np.abs(b.camera.center).max(), 1e-12)
-        if baseline <= 1e-9 * size:
+        if baseline <= ROUNDING * max(np.abs(view.camera.center).max() for view in (a, b)):
             continue
         has_baseline = True
         blank = (a.image == a.image[0, 0]).all()

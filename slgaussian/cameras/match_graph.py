@@ -12,7 +12,7 @@ import numpy as np
 
 from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.io import short_repr
-from slgaussian.scene import View
+from slgaussian.scene import ROUNDING, View
 
 NEIGHBOURS = 6
 """Number of nearest views, by camera distance, with which each view is matched."""
@@ -100,5 +100,5 @@ def _distances(views: Sequence[View]) -> np.ndarray:
     """Compute distances [V, V] of cameras in scene units, exactly 0 for equal positions."""
     centers = np.array([view.camera.center for view in views])
     distances = np.linalg.norm(centers[:, None] - centers, axis=-1)
-    tolerance = 1e-9 * max(float(np.abs(centers).max()), 1e-12)
+    tolerance = ROUNDING * float(np.abs(centers).max())
     return np.where(distances > tolerance, distances, 0)

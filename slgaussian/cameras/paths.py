@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera
+from slgaussian.scene import ROUNDING, Camera
 
 MIN_AXIS_COSINE = np.cos(np.radians(45))
 """An orbit uses the cameras whose viewing directions are within 45 degrees of the central one: the
@@ -99,7 +99,8 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     turns = Rotation.from_matrix([camera.c2w[:3, :3] for camera in cameras])
     middle[:3, :3], middle[:3, 3] = turns.mean().as_matrix(), centers.mean(0)
     start = replace(start, c2w=middle)
-    along, across = _half_axes(centers - start.center, start.c2w[:3, :2].T)
+    rounding = ROUNDING * float(np.abs(centers).max())
+    along, across = _half_axes(centers - start.center, start.c2w[:3, :2].T, rounding)
     pixels, z = start.project(np.asarray(points, np.float64))
     inside = start.shows(pixels, z)
     if not inside.any():
@@ -110,12 +111,17 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     return [_aimed(start, place, focus) for place in places]
 
 
-def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the half axes, float [3] each, of the ellipse of cameras at ``offsets`` [V, 3]."""
+def _half_axes(
+    offsets: np.ndarray, image_axes: np.ndarray, rounding: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the half axes, float [3] each, of the ellipse of cameras at ``offsets`` [V, 3].
+
+    Offsets up to ``rounding`` are none.
+    """
     directions = np.linalg.svd(offsets)[2]
     along = directions[0]
     reach = np.abs(offsets @ along).max()
-    if reach <= 1e-9 * max(1.0, np.abs(offsets).max()):
+    if reach <= rounding:
         raise InputError("orbit: all cameras are in one place, so there is no way round it")
     along = along * (1 if offsets[-1] @ along >= offsets[0] @ along else -1)
     second = np.abs(offsets @ directions[1]).max()

@@ -102,4 +102,4 @@ class Relative:
         e = self.epipole
         slope = e[:2] - src * e[2]
         offset = src * a[:, 2:] - a[:, :2]
-        return (slope * offset).sum(1) / np.maximum((slope**2).sum(1), 1e-12)
+        return (slope * offset).sum(1) / np.maximum((slope**2).sum(1), np.finfo(float).tiny)

@@ -15,7 +15,7 @@ import io
 import json
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
 from slgaussian.formats.images import opened
 from slgaussian.io import write_atomic
-from slgaussian.scene import Camera, Scene, View
+from slgaussian.scene import Camera, Scene, View, local_origin
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 
 INDEX = "index.json"
@@ -48,6 +48,9 @@ class Clip:
         timestamps: int64 [N]. Microseconds.
         cameras: float32 [N, 18]. Rows as described in the module's docstring.
         images: tuple of N bytes. Encoded JPEGs.
+        origin: float64 [3]. Point of the world to which ``cameras`` are relative, zero unless
+            float32 cannot hold them in the world (:func:`slgaussian.scene.local_origin`). It is an
+            additional key of the entry, which other programs ignore.
     """
 
     key: str
@@ -55,6 +58,7 @@ class Clip:
     timestamps: np.ndarray
     cameras: np.ndarray
     images: tuple[bytes, ...]
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def view(self, number: int, prefix: str = "") -> View:
         """Decode one frame; InputError, which begins with ``prefix``, if it is damaged."""
@@ -65,7 +69,8 @@ class Clip:
         except ValueError as error:
             raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
         height, width = pixels.shape[:2]
-        return View(str(number), camera_of(self.cameras[number], width, height, label), pixels)
+        camera = camera_of(self.cameras[number], width, height, label).relative_to(-self.origin)
+        return View(str(number), camera, pixels)
 
     def scene(self, source: str = "") -> Scene:
         """Return the clip as a scene with views "0" to "N - 1", each decoded when it is read.
@@ -83,7 +88,9 @@ class Clip:
         if usual is None:
             raise InputError(f"{label}: none of its {len(sizes)} images can be decoded")
         cameras = {
-            str(number): camera_of(row, *(size or usual), f"{label}, frame {number}")
+            str(number): camera_of(row, *(size or usual), f"{label}, frame {number}").relative_to(
+                -self.origin
+            )
             for number, (row, size) in enumerate(zip(self.cameras, sizes, strict=True))
         }
 
@@ -212,7 +219,11 @@ def _clip(entry: Any, max_bytes: int) -> Clip:
     if sum(array.size for array in arrays) > max_bytes:
         raise ValueError("it has more bytes of images than the file")
     encoded_images = tuple(array.tobytes() for array in arrays)
-    return Clip(key, url, times.astype(np.int64), cameras.astype(np.float32), encoded_images)
+    origin = _array(entry["origin"]) if "origin" in entry else np.zeros(3)
+    if origin.shape != (3,) or origin.dtype != np.float64 or not np.isfinite(origin).all():
+        raise ValueError(f"its origin is {origin}, not 3 finite float64 numbers")
+    rows = cameras.astype(np.float32)
+    return Clip(key, url, times.astype(np.int64), rows, encoded_images, origin)
 
 
 def _array(tensor: Any) -> np.ndarray:
@@ -264,6 +275,7 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
         InputError: If a view cannot be read and ``passed_over`` is None, or no view can be read.
     """
     images, rows = [], []
+    origin = local_origin([camera.center for camera in scene.cameras.values()])
     for name, camera in scene.cameras.items():
         try:
             view = scene.read(name)
@@ -275,13 +287,13 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
         buffer = io.BytesIO()
         Image.fromarray(view.image).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
         images.append(buffer.getvalue())
-        rows.append(row_of(camera))
+        rows.append(row_of(camera.relative_to(origin)))
     if not images:
         raise InputError(
             f"scene {scene.name!r}: none of its {len(scene.cameras)} views can be read"
         )
     times = np.arange(len(images)) * FRAME_TIME
-    return Clip(scene.name, "", times, np.stack(rows), tuple(images))
+    return Clip(scene.name, "", times, np.stack(rows), tuple(images), origin)
 
 
 def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:
@@ -335,6 +347,7 @@ def encoded(clips: Sequence[Clip]) -> bytes:
             "cameras": torch.from_numpy(clip.cameras),
             "images": [torch.frombuffer(bytearray(i), dtype=torch.uint8) for i in clip.images],
             "key": clip.key,
+            **({"origin": torch.from_numpy(clip.origin)} if clip.origin.any() else {}),
         }
         for clip in clips
     ]

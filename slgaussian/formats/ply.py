@@ -14,6 +14,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
@@ -25,6 +26,7 @@ from scipy.special import expit, logit
 from slgaussian.errors import InputError, check_type
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
+from slgaussian.scene import local_origin
 
 MIN_LOGIT = -104.0
 """Written for the logit and the logarithm of 0: the largest integer whose sigmoid and exponential
@@ -47,6 +49,7 @@ _ANTIALIASED = re.compile(
 )
 """Header comments by which Postshot, Brush and others mark training with anti-aliasing:
 ``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
+_NUMBER = r"(-?\d+\.?\d*(?:e[-+]?\d+)?)"
 
 
 def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
@@ -55,6 +58,8 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     Args:
         gaussians: With harmonics of degree 0 to 3 in the convention "3dgs". An opacity or a scale
             of 0, and an opacity of 1, are written as finite numbers that are read back as 0 and 1.
+            Positions are relative to their origin, which is a comment of the header unless it is
+            zero: ``origin X Y Z``. Other programs show them there, and so near zero.
         path: An existing file is replaced.
         labels: int [N], optional. Object of each Gaussian, 0 for none; written as ``label``.
 
@@ -100,7 +105,9 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     for name, column in (columns | integers).items():
         table[name] = column
     buffer = io.BytesIO()
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
+    position = " ".join(map(repr, gaussians.origin.tolist()))
+    comments = [f"origin {position}"] if gaussians.origin.any() else []
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<", comments=comments).write(buffer)
     write_file(path, buffer.getbuffer())
 
 
@@ -108,9 +115,9 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     """Read a ``.ply`` of Gaussians from any program.
 
     It may be ASCII or binary of either byte order, with columns of any numeric type in any order.
-    Missing ``f_rest_*`` mean view-independent colours; without an integer ``source`` the Gaussians
-    are numbered from 0. Rotations are normalised, normals are dropped, and infinite logits give
-    opacities 0 and 1.
+    Doubles that float32 cannot hold as positions get a local origin. Missing ``f_rest_*`` mean
+    view-independent colours; without an integer ``source`` the Gaussians are numbered from 0.
+    Rotations are normalised, normals are dropped, and infinite logits give opacities 0 and 1.
 
     Returns:
         gaussians: Gaussians. In float32. :func:`save_ply` rounds logits and logarithms: opacities
@@ -148,6 +155,16 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: has {_some(distorting)}, by which its Gaussians are drawn otherwise than "
             "here; export it as plain 3D Gaussian splatting"
         )
+    origin = _origin(comments)
+    if len(table) and all(table.dtype[name] == np.float64 for name in _MEANS):
+        means = np.stack([table[name] for name in _MEANS], 1).astype(np.float64)
+        # What float32 cannot hold at all is refused below.
+        shift = local_origin(means) if np.abs(means).max() < 1e30 else np.zeros(3)
+        if shift.any():
+            table = table.copy()
+            for name, column in zip(_MEANS, (means - shift).T, strict=True):
+                table[name] = column
+            origin = origin + shift
     read = partial(_finite, path, table)
     quats = read(_ROTATIONS).astype(np.float64)
     lengths = np.linalg.norm(quats, axis=1, keepdims=True)
@@ -178,7 +195,15 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     }
     if "label" in names and (label := _whole(extra["label"])) is not None:
         extra["label"] = label
-    return Gaussians.from_arrays(arrays), extra
+    return replace(Gaussians.from_arrays(arrays), origin=origin), extra
+
+
+def _origin(comments: Sequence[str]) -> np.ndarray:
+    """Return the origin in the comment of :func:`save_ply`, float64 [3], zero without one."""
+    for line in comments:
+        if match := re.fullmatch(rf"origin {_NUMBER} {_NUMBER} {_NUMBER}", line.strip()):
+            return np.array(match.groups(), np.float64)
+    return np.zeros(3)
 
 
 def _finite(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import gzip
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,9 @@ MAGIC, VERSION = 0x5053474E, 3
 COLOUR_SCALE = 0.15
 
 MAX_BITS = 20  # largest number of fractional bits of the means
+
+MIN_SCALE, MAX_SCALE = np.exp(-10.0), np.exp(255 / 16 - 10)
+"""Smallest and largest scale, scene units."""
 
 AXIS_SIGNS = np.array([1, -1, -1], np.float32)
 """Signs between x right, y down, z forward and x right, y up, z backward."""
@@ -43,7 +47,8 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
 
     Raises:
         InputError: If a number is NaN, infinite or out of range, the harmonics are above degree 3,
-            the scene is too large for 24-bit means, or the file cannot be written.
+            the scene is too large for 24-bit means, its unit does not suit 8-bit scales, or the
+            file cannot be written.
     """
     gaussians.check()
     arrays = gaussians.to_arrays()
@@ -63,6 +68,20 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
     fixed = np.rint(arrays["means"] * AXIS_SIGNS * 2.0**bits).astype("<i4")
     with np.errstate(divide="ignore"):  # log of a scale of 0, clipped to the smallest value
         logs = np.log(arrays["scales"])
+    middle = float(np.median(arrays["scales"])) if n else 1.0
+    if not MIN_SCALE <= middle <= MAX_SCALE:
+        raise InputError(
+            f"gaussians scales: found half of them {'below' if middle < 1 else 'above'} "
+            f"{middle:.2g} scene units, expected {MIN_SCALE:.2g} to {MAX_SCALE:.2g}, which an .spz "
+            "holds; write a .ply, or give cameras in another unit"
+        )
+    if gaussians.origin.any():
+        position = ", ".join(map(repr, gaussians.origin.tolist()))
+        warnings.warn(
+            f"{path}: an .spz has no place for the origin of its positions in the world, "
+            f"({position}); a .ply keeps it",
+            stacklevel=2,
+        )
     quats = arrays["quats"][:, [1, 2, 3, 0]] * np.append(AXIS_SIGNS, np.float32(1))
     steps = np.repeat([8, 16], [3, 12])[: terms - 1, None]
     higher = np.rint(arrays["sh"][:, 1:] * _SH_SIGNS[: terms - 1, None] * 128) + 128

@@ -87,7 +87,7 @@ def rasterize(
         InputError: If ``values`` has the wrong shape, a parameter is out of range, NaN or infinite
             (named with its index), or the backend lacks a requested feature.
     """
-    settings = find_settings(settings)
+    settings = find_settings(settings, gaussians.reach(camera))
     if values is None:
         from slgaussian.rasterize.harmonics import colors
 

@@ -13,7 +13,7 @@ from slgaussian.gaussians import SH_C0, Gaussians
 from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.blend import Splatted, draw
 from slgaussian.rasterize.project import Eye, eye_of, project
-from slgaussian.rasterize.render_settings import PRESETS, Settings
+from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import bin_splats
 from slgaussian.scene import Camera
 
@@ -46,7 +46,7 @@ def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture
     Raises:
         InputError: If a number is invalid, naming the first Gaussian with one.
     """
-    settings, arrays = PRESETS["fast"], gaussians.to_arrays()
+    settings, arrays = find_settings("fast", gaussians.reach(camera)), gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
     drawn, _ = splatted(
         gaussians, geometry, np.ascontiguousarray(values, np.float32),

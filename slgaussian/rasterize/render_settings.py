@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from slgaussian.errors import InputError, did_you_mean
 
@@ -62,8 +62,17 @@ renderers. The published MVSplat checkpoints were trained with them as well; tha
 assumes a centred principal point, so use a camera with one."""
 
 
-def find_settings(settings: Settings | str) -> Settings:
-    """Return ``settings``, or the preset of that name; raises InputError if there is none."""
+def find_settings(settings: Settings | str, reach: float) -> Settings:
+    """Return ``settings``, or the preset of that name for a scene that reaches so far.
+
+    Args:
+        reach: Distance of the far Gaussians, :meth:`slgaussian.gaussians.Gaussians.reach`. Below 1
+            the near plane of a preset is nearer by this factor: a room in kilometres lies before
+            the usual one.
+
+    Raises:
+        InputError: If there is no such preset.
+    """
     if isinstance(settings, Settings):
         return settings
     if settings not in PRESETS:
@@ -71,4 +80,5 @@ def find_settings(settings: Settings | str) -> Settings:
             f"unknown rasterize settings {settings!r}: expected one of {', '.join(PRESETS)}, or a "
             f"Settings{did_you_mean(settings, PRESETS)}"
         )
-    return PRESETS[settings]
+    preset = PRESETS[settings]
+    return replace(preset, near=preset.near * reach) if 0 < reach < 1 else preset

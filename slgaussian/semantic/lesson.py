@@ -8,7 +8,7 @@ paper, and its Implementation Details).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,7 +33,8 @@ class Lesson:
         gaussians: Predicted from the context views; ``source`` is a flat index into ``labels``.
             Features and colours are not used; colours are not stored.
         labels: int32 [V, H, W]. Object ids of the context views, 0 unassigned.
-        cameras: tuple of T Camera. Cameras of the target views, H x W pixels.
+        cameras: tuple of T Camera. Cameras of the target views, H x W pixels. Where the Gaussians
+            have an origin, both are made relative to it, and the origin is dropped.
         targets: int32 [T, H, W]. Object ids of the target views, consistent with ``labels``; 0
             unassigned.
 
@@ -50,6 +51,10 @@ class Lesson:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
+        # All positions are relative, so that random draws do not depend on the origin either.
+        cameras = tuple(map(self.gaussians.localize, self.cameras))
+        gaussians = replace(self.gaussians, origin=np.zeros(3))
+        self.__dict__.update(cameras=cameras, gaussians=gaussians)
         size = self.labels.shape[1:]
         sizes = [(camera.height, camera.width) for camera in self.cameras]
         source, problem = self.gaussians.source, ""

@@ -2,7 +2,7 @@
 // approximation of perspective, taken at most 0.3 of half an image outside it, and with a low-pass
 // filter of 0.3 px^2.
 
-const NEAR = 0.01, LOW_PASS = 0.3, MARGIN = 0.3, CUT = 1 / 1024, VISIBLE = 0.5;
+const NEAR = about.near, LOW_PASS = 0.3, MARGIN = 0.3, CUT = 1 / 1024, VISIBLE = 0.5;
 const WIDE = 1024; // Gaussians in a row of the texture, two texels each
 // Gaussians an instance. In software rendering each instance costs some 10 us.
 const BATCH = 256;
@@ -117,8 +117,8 @@ void main() {
   vec3 rgb = clamp(c.rgb / max(c.a, ${VISIBLE}), 0.0, 1.0);
   float grey = dot(rgb, vec3(0.299, 0.587, 0.114));
   if (mode == 1) {
-    float z = m.x / max(m.a, 1e-4), inverse = 1.0 / max(z, 1e-4);
-    float share = (inverse - 1.0 / depths.y) / max(1.0 / depths.x - 1.0 / depths.y, 1e-6);
+    float z = m.x / max(m.a, 1e-4), inverse = 1.0 / max(z, ${NEAR / 100});
+    float share = (inverse - 1.0 / depths.y) / max(1.0 / depths.x - 1.0 / depths.y, 1e-20);
     rgb = m.a < ${VISIBLE} ? vec3(0.11) : painted(share, 0);
   } else if (mode == 3) {
     rgb = clamp(0.72 * painted(m.x / max(m.a, ${VISIBLE}), 1) + 0.34 * grey, 0.0, 1.0);

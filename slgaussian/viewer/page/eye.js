@@ -57,7 +57,7 @@ class Viewpoint {
   /** Multiply the distance to `target` by a factor. */
   approach(factor) {
     const target = this.target;
-    this.distance = Math.max(1e-3, this.distance * factor);
+    this.distance = Math.max(NEAR / 10, this.distance * factor);
     this.centre = plus(target, this.forward, -this.distance);
   }
 

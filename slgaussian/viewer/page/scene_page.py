@@ -32,6 +32,7 @@ from slgaussian.geometry.room import find_room
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
+from slgaussian.rasterize.render_settings import find_settings
 from slgaussian.scene import Camera
 from slgaussian.viewer.page.answers import compute_answers
 from slgaussian.viewer.page.packed import BLOCK_GAUSSIANS, pack_gaussians
@@ -67,6 +68,8 @@ def scene_page(
     if live:
         field = field.changed(removed=frozenset())
     looks = {name: field.render(camera) for name, camera in field.cameras.items()}
+    origin = field.gaussians.origin
+    cameras = {name: camera.relative_to(origin) for name, camera in field.cameras.items()}
     if not looks:
         raise InputError("the field has no cameras, expected at least one to start from")
     pictures = dict(photographs or {})
@@ -82,10 +85,10 @@ def scene_page(
         numbers = np.where(np.array(ids)[place] == labels, place + 1, 0)
     gaussians = field.gaussians
     depths = [look.depth for look in looks.values()]
-    up = find_room(list(field.cameras.values()), depths).up
+    up = find_room(list(cameras.values()), depths).up
     views = [
         _view(name, camera, look.depth, pictures[name], "rendered" if name in drawn_views else "")
-        for (name, camera), look in zip(field.cameras.items(), looks.values(), strict=True)
+        for (name, camera), look in zip(cameras.items(), looks.values(), strict=True)
     ]
     answers, gaps, selected = compute_answers(field, ids, texts, live)
     title = str(field.settings.get("scene") or "scene")
@@ -95,6 +98,9 @@ def scene_page(
         "made_by": f"slgaussian {__version__}",
         "title": title,
         "views": views,
+        # Positions in the page are relative to this point of the world.
+        "origin": origin.tolist(),
+        "near": min(find_settings("fast", gaussians.reach(c)).near for c in field.cameras.values()),
         "up": np.asarray(up, np.float64).tolist(),
         "depths": list(depth_range(*depths)),
         "stripes": bool(field.removed),
