@@ -152,8 +152,12 @@ class Camera:
         """Return the camera in a world whose origin float64 [3] and unit are given in this one."""
         if not origin.any() and unit == 1:
             return self
+        center = (self.center - origin) / unit
+        # Far off, float64 rounds the decimals of a file, and a sweep amplifies its last digit.
+        noise = np.spacing(np.abs([self.center, origin]).max() / unit)
+        decimal = np.round(center, int(np.floor(-np.log10(noise))) - 1)
         c2w = self.c2w.copy()
-        c2w[:3, 3] = (self.center - origin) / unit
+        c2w[:3, 3] = decimal if np.abs(decimal - center).max() <= noise else center
         near, far = (None if bound is None else bound / unit for bound in (self.near, self.far))
         return replace(self, c2w=c2w, near=near, far=far)
 
