@@ -29,7 +29,7 @@ SAVE_OPTIONS: dict[str, dict[str, Any]] = {
 """Pillow's save options of images by file extension."""
 
 
-@stage("example", version=1)
+@stage("example", version=2)
 def example(
     run: RunContext,
     sample: ArtifactRef,
@@ -98,7 +98,8 @@ def _images(sample: Sample, ending: str) -> dict[str, bytes]:
 
 def _geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> Arrays:
     views = run.read(sample, sample_from_arrays)
-    cameras = [view.camera for view in (*views.context, *views.targets)]
+    origin = views.localize()[1].origin  # readers take poses as float32
+    cameras = [v.camera.relative_to(origin) for v in (*views.context, *views.targets)]
     geometry = read_geometry(run, sample, gaussians)
     confirmed = np.zeros(geometry.depths.shape, bool)
     for first, second in permutations(range(len(confirmed)), 2):
@@ -110,4 +111,5 @@ def _geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> A
         "near_far": np.array([[c.near or 0, c.far or 0] for c in cameras], np.float64),
         "depth": np.stack(depths).astype(np.float32),
         "confirmed": confirmed,
+        **({"origin": origin} if origin.any() else {}),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -86,7 +87,8 @@ def seen_everywhere(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
     for view in sample.targets:
         # Mean depth would put a surface between foreground and background at edges.
         depth = rasterize(gaussians, nothing, view.camera, median=True).median
-        targets.append(SeenView(view, None if depth is None else depth.numpy()))
+        local = replace(view, camera=gaussians.localize(view.camera))  # as the context's
+        targets.append(SeenView(local, None if depth is None else depth.numpy()))
     return [*SceneGeometry.of(sample.context, gaussians).frames, *targets]
 
 

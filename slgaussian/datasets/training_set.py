@@ -50,6 +50,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
     An item is a dict. V is the number C of context views or T of targets, N that of objects:
 
     - ``sample``, ``clip``, ``place``: text
+    - ``origin``: float64 [3], position in the world of the origin of the poses, zero unless float32
+      cannot hold them there
     - ``context`` and ``target``: dicts of ``image`` uint8 [V, 3, H, W]; ``K`` float32 [V, 3, 3] in
       pixels, ``c2w`` float32 [V, 4, 4] with OpenCV axes; ``near_far`` float32 [V, 2], 0 where
       unknown; ``depth`` float32 [V, H, W] along z, 0 where unknown; ``labels`` int64 [V, H, W], 0
@@ -131,6 +133,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         contexts = len(images["context"])
         for role, part in (("context", slice(contexts)), ("target", slice(contexts, None))):
             item[role] = {"image": images[role], **{name: of[part] for name, of in views.items()}}
+        item["origin"] = torch.from_numpy(geometry.get("origin", np.zeros(3)))
         item["context"]["confirmed"] = torch.from_numpy(geometry["confirmed"])
         item["objects"] = _Ragged(
             ids=torch.from_numpy(bank["ids"].astype(np.int64)),

@@ -84,7 +84,8 @@ class PictureView:
         proposals = inputs.proposer.propose(view, None if visible.all() else visible)
         ids = np.where(visible, flatten(proposals), 0).astype(np.int32)
         label_maps = LabelMaps(ids[None], np.ones((1, *ids.shape), np.float32))
-        surroundings = [inputs.geometry.room.place(self.camera, depth)] if with_depth else None
+        local = inputs.gaussians.localize(self.camera)  # as the room
+        surroundings = [inputs.geometry.room.place(local, depth)] if with_depth else None
         bank = inputs.look_at([view], label_maps, surroundings, with_depth)
         confidence = (ids > 0).astype(np.float32)
         return FieldView(self.rgb, ids, confidence, alpha, depth, inputs.field.changed(bank=bank))
