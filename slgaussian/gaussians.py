@@ -116,7 +116,8 @@ class Gaussians:
             import torch
 
             keep = torch.from_numpy(keep)
-        return replace(self, **{name: value[keep] for name, value in self.items()})
+        chosen: Any = {name: value[keep] for name, value in self.items()}
+        return replace(self, **chosen)
 
     def reach(self, camera: Camera) -> float:
         """Return the distance from ``camera`` of the 95th percentile of a sample of the means."""
@@ -208,13 +209,15 @@ class Gaussians:
     @staticmethod
     def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
         """Concatenate Gaussians, which must have the same fields and origin."""
+        joined: Any
         names = [name for name, _ in parts[0]._present()]
         if all(isinstance(value, np.ndarray) for part in parts for _, value in part._present()):
             joined = {n: np.concatenate([part.__dict__[n] for part in parts]) for n in names}
             return parts[0].with_arrays(**joined)
         import torch
 
-        return replace(parts[0], **{n: torch.cat([getattr(p, n) for p in parts]) for n in names})
+        joined = {n: torch.cat([getattr(part, n) for part in parts]) for n in names}
+        return replace(parts[0], **joined)
 
 
 def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:

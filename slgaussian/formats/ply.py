@@ -5,8 +5,9 @@ Splatting", 2023: means ``x y z``, normals ``nx ny nz`` (zero, unused), colour
 ``f_dc_0..2`` and ``f_rest_*`` (coefficients 1 and up of red, then of green, then of blue; see
 :mod:`slgaussian.rasterize.harmonics`), ``opacity`` as a logit, ``scale_0..2`` as natural
 logarithms, ``rot_0..3`` as wxyz. This project adds ``f_sem_*`` for features, and ``source`` and
-``label``; viewers ignore unknown properties. Integers are written as floats if that is exact,
-because some readers assume that every property is a float.
+``label``; viewers ignore unknown properties. The comment ``origin X Y Z`` is the position in the
+world to which the means are relative, where float32 cannot hold them in the world. Integers are
+written as floats if that is exact, because some readers assume that every property is a float.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -97,7 +98,7 @@ class Lesson:
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> Lesson:
         """Inverse of :meth:`to_arrays`; the Gaussians have no colours, sh [N, 0, 3]."""
-        geometry = {name: torch.from_numpy(np.array(arrays[name])) for name in GEOMETRY}
+        geometry: Any = {name: torch.from_numpy(np.array(arrays[name])) for name in GEOMETRY}
         gaussians = Gaussians(**geometry, sh=torch.zeros(len(geometry["means"]), 0, 3))
         height, width = arrays["targets"].shape[1:]
         views = zip(arrays["K"], arrays["c2w"], arrays["near_far"].tolist(), strict=True)
