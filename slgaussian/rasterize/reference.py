@@ -3,6 +3,8 @@
 Plain differentiable torch; gradients are those of automatic differentiation.
 """
 
+from typing import Any
+
 import torch
 
 from slgaussian.gaussians import Gaussians, rotation_matrices
@@ -21,7 +23,7 @@ def project(
 
     All are float64. Means and covariances at or behind the near plane are undefined.
     """
-    double = {name: v.double() for name, v in gaussians.items() if v.is_floating_point()}
+    double: Any = {name: v.double() for name, v in gaussians.items() if v.is_floating_point()}
     gaussians = Gaussians(**double, source=gaussians.source)
     device = gaussians.means.device
     centre = torch.from_numpy(camera.center).to(device)

@@ -97,7 +97,9 @@ class MVSplat(MVSplatConfig):
                 output = self._network(images, cameras, NEAR, far * (NEAR / near))
             of_views = zip(output.disparity, output.raw, cameras, strict=True)
             parts = [gaussians_of(*of_view) for of_view in of_views]
-            fields = {name: torch.cat([part[name] for part in parts]).cpu() for name in parts[0]}
+            fields: Any = {
+                name: torch.cat([part[name] for part in parts]).cpu() for name in parts[0]
+            }
         for name in ("means", "scales"):
             fields[name].div_(NEAR / near)
         source = _source_indices(sample.context[0].camera, cameras)
