@@ -36,6 +36,7 @@ thousandth in all real data seen."""
 
 MIN_SHARE = 0.5
 """Fraction of the pixels of most photographs below which one that is smaller is named."""
+
 ROUNDING = 1e-13
 """Distance of two positions in the world, as a share of their coordinates, up to which they are one
 position computed in two ways in float64."""
