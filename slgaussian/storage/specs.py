@@ -191,8 +191,11 @@ class Spec:
                 raise mismatch(file, name, f"{data.type}", f"{expected}")
             if data.null_count and not column.nullable:
                 raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
-            if pa.types.is_list(data.type):
+            while pa.types.is_list(data.type):
                 data = pc.list_flatten(data)
+                if data.null_count:
+                    found = f"{data.null_count} empty items in its lists"
+                    raise mismatch(file, name, found, "a value in each item")
             has_bounds = column.values or column.low is not None or column.high is not None
             if pa.types.is_floating(data.type) or has_bounds:
                 _check_values(data.drop_null().to_numpy(), column, name, file, ROUNDING)
@@ -270,6 +273,8 @@ def _check_array(
             reason = f"{axis} = {needed} as in {first}"
         if size != needed:
             raise mismatch(file, name, actual, f"{expected} with {reason}")
+    if np.ma.is_masked(array):  # a file stores what lies below the mask
+        raise mismatch(file, name, f"{np.ma.count_masked(array)} masked values", "a value in each")
     _check_values(array, field, name, file)
 
 

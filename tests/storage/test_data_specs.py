@@ -118,6 +118,23 @@ def test_values_of_tables_have_bounds(changed, message):
         spec.check_table(table, "t")
 
 
+@pytest.mark.parametrize("context", [[None], [0, None], [None, None, 2]])
+def test_an_empty_item_of_a_list_is_refused_in_any_row(context):
+    spec = load_spec("pairs")
+    row = {name: "a" if column.type == "string" else 1 for name, column in spec.columns.items()}
+    rows = [row | {"context": c, "targets": [3]} for c in ([0, 1], [], context)]
+    spec.check_table(pa.Table.from_pylist(rows[:2], schema=spec.schema), "t")
+    table = pa.Table.from_pylist(rows, schema=spec.schema)
+    with refused(f"t: context: found {context.count(None)} empty items in its lists"):
+        spec.check_table(table, "t")
+
+
+def test_a_masked_value_is_refused_since_no_file_keeps_the_mask():
+    hidden = np.ma.masked_less(gaussians()["means"], np.inf)
+    with refused("f.npz: means: found 9 masked values"):
+        load_spec("gaussians").check_arrays(gaussians() | {"means": hidden}, "f.npz")
+
+
 @pytest.mark.parametrize("name", [name for name in spec_names() if load_spec(name).keys])
 def test_keys_of_documents_are_complete(name):
     spec = load_spec(name)
