@@ -163,20 +163,21 @@ def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
 
 def _read_crop(file: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Read an upright photograph, uint8 [H, W, 3], and its opaque pixels, bool [H, W], or None."""
-    import numpy as np
-    from PIL import ImageOps
-
+    from slgaussian.datasets.exif import orientation_of, upright
+    from slgaussian.datasets.photographs import MIN_OPAQUE_ALPHA, alpha_of, read_colours
     from slgaussian.formats import images
 
     try:
         with images.opened(file) as image:
-            pixels = np.asarray(ImageOps.exif_transpose(image).convert("RGBA"))
+            image.load()
+            turned = upright(image, orientation_of(image))
+            pixels, alpha = read_colours(turned, str(file)), alpha_of(turned)
     except (OSError, ValueError) as error:
         raise images.unreadable(file, error) from None
-    opaque = pixels[..., 3] >= 128
-    if not opaque.any():
+    opaque = None if alpha is None else alpha >= MIN_OPAQUE_ALPHA
+    if opaque is not None and not opaque.any():
         raise InputError(f"{file}: is transparent everywhere; give a picture that shows a thing")
-    return np.ascontiguousarray(pixels[..., :3]), None if opaque.all() else opaque
+    return pixels, None if opaque is None or opaque.all() else opaque
 
 
 def _hit_picture(name: str, view: FieldView, hit: QueryResult) -> np.ndarray:

@@ -16,6 +16,7 @@ Metrics of relevancies are not computed, and metrics of the point only if it is 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -74,6 +75,7 @@ class Predictions:
         place: The folder or file.
         masks: Scene, frame and query are as in the file or in the folder names.
         samples: Number of scored samples with ground truth, of which ``missing`` have no mask.
+        empty: Scored masks without a pixel.
         used: Keys of the scored masks.
     """
 
@@ -81,6 +83,7 @@ class Predictions:
     masks: Mapping[Key, Prediction]
     samples: int = 0
     missing: list[str] = field(default_factory=list)
+    empty: list[str] = field(default_factory=list)
     used: set[Key] = field(default_factory=set)
 
     @property
@@ -205,6 +208,12 @@ def score_predictions(
                         masks[row["protocol"], frame, row["query"]] = mask
             means = scene_means(of_first_protocol(rows))
             yield SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
+    if empty := list(dict.fromkeys(predictions.empty)):
+        warnings.warn(
+            f"{predictions.place}: {len(empty)} of {len(predictions.used)} masks are empty: "
+            f"{', '.join(empty[:3])}{', ...' if empty[3:] else ''}",
+            stacklevel=2,
+        )
 
 
 def _score_frame(
@@ -259,6 +268,8 @@ def _look_up(
             predictions.missing.append(_describe(*names[2:], text))
         predictions.samples += bool(truth.any())
         mask = prediction.read(*truth.shape)
+        if key is not None and not mask.any():
+            predictions.empty.append(prediction.place)
         answer = Answer(np.zeros((0, 0), np.float32), mask, prediction.point)
         answers[text] = answer, prediction.place
     return answers
@@ -280,7 +291,7 @@ def _winners(answers: Mapping[str, tuple[Answer, str]]) -> np.ndarray:
 
 
 def _read_png(file: Path, height: int, width: int) -> np.ndarray:
-    mask = read_mask(file, kinds=("PNG",))
+    mask = read_mask(file, kinds=("PNG",), warn=False)
     _check_size(str(file), mask.shape, height, width)
     return mask
 

@@ -19,7 +19,8 @@ from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of
 from slgaussian.datasets.exif import upright as turned_upright
 from slgaussian.datasets.lens import Maps, undistort
 from slgaussian.errors import InputError
-from slgaussian.formats.images import mask_levels, opened, unreadable
+from slgaussian.formats.colour import read_colours
+from slgaussian.formats.images import mask_levels, opened, scale_levels, unreadable
 from slgaussian.formats.resampling import Window
 from slgaussian.io import file_stamp
 from slgaussian.scene import PAPER_PIXELS, Camera, Scene, View
@@ -51,20 +52,23 @@ THUMBNAIL = 4
 MIN_OPAQUE_ALPHA = 128  # smallest alpha, of 255, of an opaque pixel
 
 
-def rgb(image: Image.Image) -> np.ndarray:
-    """Return the pixels of an opened image, uint8 [H, W, 3], transparent ones over black.
+def rgb(image: Image.Image, name: str | Path) -> np.ndarray:
+    """Return the pixels of an opened image in sRGB, uint8 [H, W, 3], transparent ones over black.
 
-    Grey is repeated, 16 bits are scaled. Raises ValueError for floating-point pixels.
+    See :func:`slgaussian.formats.colour.read_colours`; ``name`` is that of the photograph.
     """
-    if image.mode.startswith("I"):  # 16 bits of grey
-        grey = np.round(np.clip(np.asarray(image) / 257, 0, 255)).astype(np.uint8)
-        return np.repeat(grey[..., None], 3, axis=-1)
-    if image.mode == "F":
-        raise ValueError("floating-point pixels")
-    if "A" in image.getbands() or "transparency" in image.info:
-        pixels = np.asarray(image.convert("RGBA"))
-        return composite(pixels[..., :3], pixels[..., 3])
-    return np.array(image if image.mode == "RGB" else image.convert("RGB"))
+    pixels, alpha = read_colours(image, str(name)), alpha_of(image)
+    return pixels if alpha is None else composite(pixels, alpha)
+
+
+def alpha_of(image: Image.Image) -> np.ndarray | None:
+    """Return the alpha of an opened image, uint8 [H, W]; None without one.
+
+    Its range is that of a mask, see :func:`slgaussian.formats.images.scale_levels`.
+    """
+    if "A" not in image.getbands() and "transparency" not in image.info:
+        return None
+    return scale_levels(np.asarray(image.convert("RGBA"))[..., 3])
 
 
 def composite(pixels: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -92,10 +96,10 @@ def open_photograph(
             turn = upright or _is_turned(image, size)
             image.load()
             oriented = turned_upright(image, orientation_of(image)) if turn else image
-            pixels = rgb(oriented)
-            if "A" not in oriented.getbands() and "transparency" not in image.info:
+            pixels, alpha = read_colours(oriented, str(path)), alpha_of(oriented)
+            if alpha is None:
                 return pixels, None
-            opaque = np.asarray(oriented.convert("RGBA"))[..., 3] >= MIN_OPAQUE_ALPHA
+            pixels, opaque = composite(pixels, alpha), alpha >= MIN_OPAQUE_ALPHA
     except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
     return pixels, None if opaque.all() else opaque

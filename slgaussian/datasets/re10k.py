@@ -65,7 +65,7 @@ class Clip:
         label = f"{prefix}clip {self.key!r}, frame {number}"
         try:
             with opened(io.BytesIO(self.images[number])) as image:
-                pixels = rgb(image)
+                pixels = rgb(image, label)
         except ValueError as error:
             raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
         height, width = pixels.shape[:2]

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.formats.colour import is_srgb, read_colours
 from slgaussian.formats.images import opened
 from slgaussian.scene import Camera
 
@@ -35,6 +36,8 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
     try:
         with opened(io.BytesIO(data)) as image:
             size = image.size
+            if not is_srgb(image):
+                return small(read_colours(image, "photograph")), size
             image.draft("L", _small_size(*size))
             grey = np.asarray(image.convert("L"))
     except ValueError as error:

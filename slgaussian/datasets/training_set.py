@@ -173,7 +173,7 @@ def _images(members: Mapping[str, bytes], role: str) -> torch.Tensor:
         (members[n] for e in IMAGE_SUFFIXES if (n := f"{role}_{len(pixels)}.{e}") in members), None
     ):
         with opened(io.BytesIO(data)) as image:
-            pixels.append(rgb(image))
+            pixels.append(rgb(image, f"{role}_{len(pixels)}"))
     return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
 
 

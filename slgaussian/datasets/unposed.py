@@ -85,7 +85,7 @@ def _in_memory(images: Sequence[Any]) -> Scene:
     estimated = find_cameras([_photograph(image, name) for name, image in pictures.items()])
 
     def read_view(name: str) -> View:
-        pixels = rgb(upright(pictures[name], orientation_of(pictures[name])))
+        pixels = rgb(upright(pictures[name], orientation_of(pictures[name])), name)
         return View(name, estimated.cameras[name], pixels)
 
     return Scene("images", estimated.cameras, read_view, estimation=estimated.as_json())
@@ -217,9 +217,9 @@ def _photograph(image: Image.Image, name: str, mask: Mask | None = None) -> Phot
     image.draft("RGB", small_size)
     part = max(1, round(full_size[0] / image.size[0]))
     covered = (0.0, 0.0, full_size[0] / part, full_size[1] / part)  # without padded pixels
-    plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
+    plain = image if image.mode == "RGB" else Image.fromarray(rgb(image, name))
     small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
-    pixels = rgb(upright(small, orientation))
+    pixels = rgb(upright(small, orientation), name)
     if mask is not None:
         pixels = composite(pixels, mask.read_alpha(*pixels.shape[1::-1]))
     width, height = full_size[::-1] if orientation in SIDEWAYS_ORIENTATIONS else full_size

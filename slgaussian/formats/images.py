@@ -7,6 +7,7 @@ whatever the suffix of the file.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -24,6 +25,12 @@ as RGB, above which Pillow warns of decompression bombs."""
 
 PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")
 """Pillow's names of the accepted formats; HEIC too if pillow-heif is installed."""
+
+PHOTOGRAPH_ADVICE = (
+    "it is damaged or of another kind, save it again, a photograph as JPEG (HEIC needs `pip "
+    "install pillow-heif`)"
+)
+MASK_ADVICE = "save the mask as a grey PNG, 0 outside and 255 inside"
 
 
 class TooLargeError(ValueError):
@@ -76,7 +83,10 @@ def _damage_as_value_error() -> Iterator[None]:
 
 
 def read_mask(
-    source: str | Path | BinaryIO, threshold: int = 128, kinds: Sequence[str] = PILLOW_FORMATS
+    source: str | Path | BinaryIO,
+    threshold: int = 128,
+    kinds: Sequence[str] = PILLOW_FORMATS,
+    warn: bool = True,
 ) -> np.ndarray:
     """Read a mask image, bool [H, W]: the pixels whose :func:`mask_levels` reach ``threshold``.
 
@@ -84,7 +94,7 @@ def read_mask(
         InputError: If it cannot be read, or no pixel reaches the threshold although some are not
             black.
     """
-    levels = mask_levels(source, kinds)
+    levels = mask_levels(source, kinds, warn)
     mask = levels >= threshold
     if levels.any() and not mask.any():
         raise InputError(
@@ -93,31 +103,72 @@ def read_mask(
     return mask
 
 
-def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = PILLOW_FORMATS) -> np.ndarray:
+def mask_levels(
+    source: str | Path | BinaryIO, kinds: Sequence[str] = PILLOW_FORMATS, warn: bool = True
+) -> np.ndarray:
     """Read the levels of a mask, uint8 [H, W]: 255 inside, 0 outside.
 
-    They are grey levels, 16 bits scaled to 255. An alpha channel that is not 255 everywhere is used
-    instead, unless the colours are black and white; those are composited over black.
+    They are grey levels, in the range that :func:`scale_levels` finds in them. An alpha channel
+    that is not opaque everywhere is used instead, unless the colours are black and white; those are
+    composited over black. Of two colours, one of them black, the other is inside. With ``warn``,
+    an empty mask is said.
 
     Raises:
-        InputError: If it cannot be read.
+        InputError: If it cannot be read, or its range is not clear.
     """
     try:
         with opened(source, kinds) as image:
-            if image.mode == "F":
-                raise ValueError("floating-point pixels")
-            if image.mode.startswith("I"):  # 16 bits of grey
-                return np.clip(np.asarray(image) / 257, 0, 255).astype(np.uint8)
-            if "A" not in image.getbands() and "transparency" not in image.info:
-                return np.asarray(image.convert("L"))
-            layers = image.convert("RGBA")
-            grey, alpha = np.asarray(layers.convert("L")), np.asarray(layers.getchannel("A"))
+            is_halved = ";16" in str(image.tile) and not image.mode.startswith("I")
+            levels = _grey_or_alpha(image)
+            if is_halved and not levels.any():  # Pillow reads the upper 8 bits of such colours
+                raise ValueError("colours of 16 bits that are all below 256")
     except (OSError, ValueError) as bad:
-        raise unreadable(str(source), bad) from None
+        raise unreadable(str(source), bad, MASK_ADVICE) from None
+    if warn and not levels.any():
+        warnings.warn(f"{source}: the mask is empty, all of its pixels are 0", stacklevel=3)
+    return levels
+
+
+def _grey_or_alpha(image: Image.Image) -> np.ndarray:
+    if image.mode == "F" or image.mode.startswith("I"):
+        return scale_levels(np.asarray(image))
+    if "A" not in image.getbands() and "transparency" not in image.info:
+        grey = np.asarray(image.convert("L"))
+        colours = [] if image.mode in ("1", "L") else image.convert("RGB").getcolors(2)
+        if colours and len(colours) == 2 and (0, 0, 0) in [colour for _, colour in colours]:
+            return np.where(grey > 0, 255, 0).astype(np.uint8)
+        return scale_levels(grey)
+    layers = image.convert("RGBA")
+    grey = np.asarray(layers.convert("L"))
+    alpha = scale_levels(np.asarray(layers.getchannel("A")))
     if (alpha == 255).all():
-        return grey
-    levels = np.unique(grey[alpha > 0])
-    return np.where(alpha > 0, np.minimum(grey, alpha), 0) if levels.tolist() == [0, 255] else alpha
+        return scale_levels(grey)
+    is_mask = np.unique(grey[alpha > 0]).tolist() in ([0, 1], [0, 255])
+    return np.where(grey > 0, alpha, 0) if is_mask else alpha
+
+
+def scale_levels(values: np.ndarray) -> np.ndarray:
+    """Scale the values [H, W] of a mask or of alpha to levels uint8 from 0, outside, to 255.
+
+    Their largest value tells the range, whatever the type: that of 1, 8 or 16 bits.
+
+    Raises:
+        ValueError: If it tells none, or a value is negative or not a number.
+    """
+    low, high = float(values.min()), float(values.max())
+    if values.dtype == np.uint8 and (high >= 128 or high == 0):
+        return values
+    if values.dtype.kind == "f":
+        spans = [span for span in (1, 255, 65535) if span / 2 < high <= span]
+    elif high == 257 and np.isin(values, (0, 257)).all():
+        spans = [257]  # 1 of 8 bits, scaled to 16
+    else:  # 65280 is 255, shifted by 8 bits
+        spans = [int(high)] if high in (1, 255, 65280) else [65535] * (2**15 <= high < 2**16)
+    if not (low >= 0 and (spans or high == 0)):
+        raise ValueError(
+            f"its mask or alpha has values from {low:g} to {high:g}, which are not clear"
+        )
+    return (values * (255 / (spans or [1])[0])).astype(np.uint8)
 
 
 def read_npy(file: Path) -> np.ndarray:
@@ -136,15 +187,12 @@ def read_npy(file: Path) -> np.ndarray:
     return np.array(array)
 
 
-def unreadable(path: str | Path, bad: Exception) -> InputError:
-    """Return the error for a file whose content cannot be read, with the reason."""
+def unreadable(path: str | Path, bad: Exception, advice: str = PHOTOGRAPH_ADVICE) -> InputError:
+    """Return the error for a file whose content cannot be read, with the reason and the advice."""
     if isinstance(bad, TooLargeError):
         return InputError(f"{path}: cannot be read: {bad}")
     reason = _reason(bad).replace(str(path), "the file").strip(" .")
-    return InputError(
-        f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again, a "
-        "photograph as JPEG (HEIC needs `pip install pillow-heif`)"
-    )
+    return InputError(f"{path}: cannot be read ({reason}); {advice}")
 
 
 @cache

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -69,6 +70,8 @@ class Precomputed(PrecomputedConfig):
                 f"{stem}.npy"
             )
         ids = read_ids(file)
+        if not ids.any():
+            warnings.warn(f"{file}: the id map is empty, all of its ids are 0", stacklevel=2)
         height, width = view.image.shape[:2]
         from slgaussian.formats.resampling import Window
 
