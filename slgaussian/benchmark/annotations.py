@@ -8,7 +8,8 @@ There is one file per frame, ``<labels>/<frame>.json``, also in subfolders as th
 
 A segmentation is one polygon in pixels. Masks of objects of one category are united, and their
 boxes are listed. An object may have ``"holes": [[[x, y], ...], ...]``, polygons inside its own,
-which LERF-OVS does not have. Other keys are ignored.
+which LERF-OVS does not have. Other keys are ignored. Polygons are compared with the size, and boxes
+with polygons: COCO's x, y, width, height is recognised by that.
 
 A folder with ``classes.txt`` contains class masks, ``<frame>/<class>.png`` for every class; a line
 of the file is a class and its query text. Folders have the names of photographs, as in the
@@ -17,6 +18,7 @@ published scenes; 3D-OVS uses them as indices into the sorted photographs.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +40,15 @@ CLASSES_FILE = "classes.txt"
 
 MASK_GREY = 255
 """Grey level of a class mask; 3D-OVS takes all others, blurred edges too, for background."""
+
+OUTSIDE = 0.05
+"""Share of the picture by which a polygon may pass its border."""
+
+BOX_SLACK, BOX_SHARE = 2.0, 0.02
+"""Pixels, and share of its longer side in addition, by which a box may differ from its polygon."""
+
+MIN_BOX_OVERLAP = 0.5
+"""IoU with its polygon's box of a box that was drawn loosely, by hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +175,7 @@ def _read_frame(
                 polygons = [labelled.segmentation, *labelled.holes]
                 # Even-odd rule: pixels inside an even number of polygons are not filled.
                 cv2.fillPoly(drawn, [np.array(p, np.float64).astype(np.int32) for p in polygons], 1)
-                two = np.array(labelled.bbox, np.float64).reshape(2, 2)  # corners in any order
-                corners.append(np.concatenate([two.min(0), two.max(0)]))
+                corners.append(labelled.bbox)
         masks[category] = part.mask(drawn, height, width)
         boxes[category] = part.boxes(np.stack(corners), (full_h, full_w), (height, width))
     return masks, boxes
@@ -247,4 +257,83 @@ def _read_record(path: Path) -> _Record:
         check_size(record.info.width, record.info.height)
     except TooLargeError as bad:
         raise InputError(f"{path}: info: {bad}, and draw the labels anew") from None
-    return record
+    _check_polygons(path, record)
+    boxes = _boxes(path, record)
+    items = zip(record.objects, boxes, strict=True)
+    return record.model_copy(
+        update={"objects": [item.model_copy(update={"bbox": box.tolist()}) for item, box in items]}
+    )
+
+
+def _check_polygons(path: Path, record: _Record) -> None:
+    """Raise InputError for a polygon outside the picture or in one pixel, or a hole outside it."""
+    size = np.array([record.info.width, record.info.height])
+    for item in record.objects:
+        low, high = span = _bounds(item.segmentation)
+        place = f"{path}: {item.category!r}: its polygon spans {_text(span)}"
+        if (high - low).max() <= 1 < size.max():
+            raise InputError(
+                f"{place}, a pixel at most of the {size[0]}x{size[1]} that info gives; give pixels "
+                "and not fractions of the picture"
+            )
+        if (low < -OUTSIDE * size).any() or (high > (1 + OUTSIDE) * size).any():
+            raise InputError(
+                f"{place}, outside the {size[0]}x{size[1]} pixels that info gives; correct the "
+                "one or the other"
+            )
+        for hole in map(_bounds, item.holes):
+            if (hole[0] < low - BOX_SLACK).any() or (hole[1] > high + BOX_SLACK).any():
+                raise InputError(f"{place}, and a hole of it {_text(hole)}; put it inside")
+
+
+def _boxes(path: Path, record: _Record) -> list[np.ndarray]:
+    """Return the boxes [4] of the objects as x0, y0, x1, y1, in the form that polygons confirm.
+
+    Raises:
+        InputError: If a polygon confirms neither corners nor COCO's x, y, width, height.
+    """
+    boxes, converted = [], []
+    parts: dict[str, list[tuple[float, float]]] = {}
+    for item in record.objects:
+        parts.setdefault(item.category, []).extend(item.segmentation)
+    for item in record.objects:
+        first, second = given = np.array(item.bbox, np.float64).reshape(2, 2)
+        corners = np.stack([given.min(0), given.max(0)])  # corners in any order
+        # An object in several parts may have the box of all of them.
+        spans = [_bounds(item.segmentation), _bounds(parts[item.category])]
+        slack = BOX_SLACK + BOX_SHARE * np.ptp(spans[0], axis=0).max()
+        forms = corners, np.stack([first, first + second]), corners[:, ::-1]
+        fits = [any(np.abs(form - span).max() <= slack for span in spans) for form in forms]
+        overlap = [max(_overlap(form, span) for span in spans) for form in forms]
+        is_coco = (fits[1], overlap[1]) > (fits[0], overlap[0]) and not fits[0]
+        if not fits[is_coco] and (fits[2] or overlap[is_coco] < MIN_BOX_OVERLAP):
+            raise InputError(
+                f"{path}: {item.category!r}: its box is {_text(given)}, but its polygon spans "
+                f"{_text(spans[0])}; give x0, y0, x1, y1 of it"
+            )
+        boxes.append(forms[is_coco].ravel())
+        converted += [item.category] * is_coco
+    if converted:
+        warnings.warn(
+            f"{path}: {len(converted)} boxes are x, y, width, height, as their polygons show, and "
+            f"are read so, the first of {converted[0]!r}",
+            stacklevel=2,
+        )
+    return boxes
+
+
+def _bounds(points: Sequence[tuple[float, float]]) -> np.ndarray:
+    """Return the smallest and largest x, y of points, float64 [2, 2]."""
+    at = np.array(points, np.float64)
+    return np.stack([at.min(0), at.max(0)])
+
+
+def _overlap(a: np.ndarray, b: np.ndarray) -> float:
+    """Compute the IoU of two boxes [2, 2]."""
+    both = np.prod((np.minimum(a[1], b[1]) - np.maximum(a[0], b[0])).clip(0))
+    return float(both / max(np.prod(a[1] - a[0]) + np.prod(b[1] - b[0]) - both, 1e-9))
+
+
+def _text(box: np.ndarray) -> str:
+    (x0, y0), (x1, y1) = box
+    return f"{x0:g}, {y0:g}, {x1:g}, {y1:g}"

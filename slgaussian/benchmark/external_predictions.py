@@ -322,9 +322,18 @@ class _Entry(BaseModel):
     def read(self, place: str, height: int, width: int) -> np.ndarray:
         _check_size(place, self.size, height, width)  # before allocating an array of that size
         try:
-            return rle.decode(self.counts, height, width)
+            mask = rle.decode(self.counts, height, width)
         except ValueError as bad:
             raise InputError(f"{place}: {bad}; write the mask again") from None
+        x, y = self.point or (0.0, 0.0)
+        # In the first pixel only a mask there confirms that these are not fractions.
+        is_fraction = 0 < max(x, y) <= 1 and mask.any() and not mask[:2, :2].any()
+        if is_fraction or not (0 <= x <= width and 0 <= y <= height):
+            raise InputError(
+                f"{place}: its point is {x:g}, {y:g}, expected x, y in pixels of {width}x{height}"
+                f"{', not fractions' if is_fraction else ''}"
+            )
+        return mask
 
 
 def _read_file(file: Path) -> dict[Key, Prediction]:

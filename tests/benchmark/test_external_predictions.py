@@ -190,7 +190,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda png: png[: len(png) // 2], "is damaged or of another kind"),
+        (lambda png: png[: len(png) // 2], "; save the mask as a grey PNG, 0"),
         (lambda png: encode_png(np.ones((52, 72), bool)), "has 52x72 pixels, height first, and"),
     ],
 )
@@ -209,6 +209,9 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged, damage, message)
         ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
         ({"counts": "0"}, "its counts add up to 0 pixels, expected 14976; write the mask again"),
         ({"point": [3]}, "point: found [3]; "),
+        ({"point": [150, 20]}, "its point is 150, 20, expected x, y in pixels of 144x104"),
+        ({"point": [20, -3]}, "its point is 20, -3, expected x, y in pixels of 144x104"),
+        ({"point": [0.5, 0.4]}, "in pixels of 144x104, not fractions"),
         ({"query": ""}, "query: found ''; "),
     ],
 )

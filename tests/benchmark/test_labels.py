@@ -18,7 +18,9 @@ SQUARE = [[20.0, 10.0], [28.0, 10.0], [28.0, 18.0], [20.0, 18.0]]
 NAME = "images/frame_1.png"
 
 
-def thing(category="red crate", segmentation=TRIANGLE, bbox=(2, 1, 17, 14), **more):
+def thing(category="red crate", segmentation=TRIANGLE, bbox=None, **more):
+    x, y = zip(*segmentation, strict=True)
+    bbox = bbox or (min(x), min(y), max(x), max(y))
     return {"category": category, "segmentation": segmentation, "bbox": list(bbox), **more}
 
 
@@ -44,7 +46,11 @@ def test_points_are_truncated_then_filled_and_objects_of_one_category_are_united
     cv2.fillPoly(expected, [np.array([[2, 1], [17, 3], [9, 13]], np.int32)], 1)
     square = np.zeros((24, 40), bool)
     square[10:19, 20:29] = True
-    both = thing(), thing(segmentation=SQUARE, bbox=(28, 18, 20, 10)), thing("sofa")
+    both = (
+        thing(bbox=(2, 1, 17, 14)),
+        thing(segmentation=SQUARE, bbox=(28, 18, 20, 10)),
+        thing("sofa"),
+    )
     masks = read(tmp_path, *both)
     assert masks["sofa"].dtype == bool
     assert np.array_equal(masks["sofa"], expected.astype(bool))
@@ -103,6 +109,52 @@ def test_a_category_that_is_cropped_away_or_unlabelled_has_an_empty_mask(tmp_pat
     is_visible = {category: bool(mask.any()) for category, mask in truth.masks[NAME].items()}
     assert list(is_visible.items()) == [("edge", False), ("red crate", True), ("ghost", False)]
     assert truth.boxes[NAME]["ghost"].shape == (0, 4)
+
+
+LARGE = [[10, 4], [30, 4], [30, 16], [10, 16]]
+
+
+@pytest.mark.parametrize(
+    ("polygon", "bbox", "expected"),
+    [
+        (LARGE, (10, 4, 20, 12), (10, 4, 30, 16)),  # COCO's form
+        (TRIANGLE, (2.9, 1.9, 14.5, 11.9), (2.9, 1.9, 17.4, 13.8)),
+        (LARGE, (7, 3, 33, 18), (7, 3, 33, 18)),  # drawn loosely
+        (LARGE, (30, 16, 10, 4), (10, 4, 30, 16)),
+    ],
+)
+def test_a_box_is_read_in_the_form_that_its_polygon_confirms(tmp_path, polygon, bbox, expected):
+    write(tmp_path, thing("crate", polygon, bbox), thing("sofa"))
+    boxes = read_truth(tmp_path, ["crate", "sofa"], [view_of()]).boxes[NAME]
+    np.testing.assert_allclose(boxes["crate"], [expected])
+    np.testing.assert_allclose(boxes["sofa"], [(2.9, 1.9, 17.4, 13.8)])
+
+
+def test_an_object_in_parts_may_have_the_box_of_all_of_them(tmp_path):
+    whole, rest = (2.9, 1.9, 28, 18), (20, 10, 28, 18)
+    write(tmp_path, thing("tap", TRIANGLE, whole), thing("tap", SQUARE, rest))
+    boxes = read_truth(tmp_path, ["tap"], [view_of()]).boxes[NAME]["tap"]
+    np.testing.assert_allclose(boxes, [whole, rest])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"segmentation": [[0.2, 0.1], [0.8, 0.1], [0.5, 0.9]]}, "0.2, 0.1, 0.8, 0.9, a pixel at"),
+        ({"segmentation": [[20, 14], [50, 14], [50, 16]]}, "20, 14, 50, 16, outside the 40x24"),
+        ({"segmentation": LARGE, "bbox": (0.25, 0.2, 0.75, 0.7)}, "its box is 0.25, 0.2, 0.75, 0"),
+        ({"segmentation": LARGE, "bbox": (4, 10, 16, 30)}, "its box is 4, 10, 16, 30, but its pol"),
+        ({"segmentation": LARGE, "bbox": (20, 10, 20, 12)}, "spans 10, 4, 30, 16; give x0, y0"),
+        (
+            {"segmentation": LARGE, "holes": [[[20, 10], [28, 10], [28, 28]]]},
+            "a hole of it 20, 10, 28, 28",
+        ),
+    ],
+    ids=["fractions", "another size", "box in fractions", "rows first", "centre", "hole"],
+)
+def test_numbers_of_labels_that_contradict_each_other_are_refused(tmp_path, wrong, message):
+    with pytest.raises(InputError, match=rf"frame_1\.json: 'cup': .*{message}"):
+        read(tmp_path, thing(), thing("cup", **wrong))
 
 
 MISSING = object()
