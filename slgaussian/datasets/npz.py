@@ -119,7 +119,7 @@ def _cameras(
         warnings.warn(
             f"{path}: poses are read as {pose}, and intrinsics as of "
             f"{way if of_map else f'stored, not {way},'} photographs: so depth takes "
-            f"{fitted.share:.0%} of the matches to where the other view shows them",
+            f"{fitted.evidence}",
             stacklevel=2,
         )
     return {entry.photo.name: entry.camera(way, of_map, pose) for entry in maps}

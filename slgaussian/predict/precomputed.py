@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -40,8 +40,9 @@ MIN_EXPLAINED_SHARE = 0.5
 
 MAX_ERROR_RATIO = 0.85
 MIN_PARALLAX = 0.3
-"""The reprojection error must be below ``MAX_ERROR_RATIO`` times that of a constant depth, if the
-latter is above ``MIN_PARALLAX``: with less parallax nearly any depth fits."""
+"""Matches confirm a reading whose reprojection error is below ``MAX_ERROR_RATIO`` times that of a
+constant depth. One that they do not confirm is refused if the error of a constant depth is above
+``MIN_PARALLAX``: with less parallax nearly any depth fits, and they can tell nothing."""
 
 BETTER_ERROR_RATIO = 0.9
 """A less usual reading is chosen if its error is below this share of the error of the usual one."""
@@ -190,6 +191,7 @@ class Fitted:
     Attributes:
         error: Mean reprojection error as a share of the bound, each clipped at 1.
         share: Share of the matches within the bound.
+        blank: That share for one depth for all pixels, at the best scale.
         count: Number of matches with depth, in both directions.
         scales: float64 [V]. Factors of the depth of each view.
         scaling: Description of the scaling for people; empty without one.
@@ -200,6 +202,15 @@ class Fitted:
     count: int
     scales: np.ndarray
     scaling: str
+    blank: float = 0.0
+
+    @property
+    def evidence(self) -> str:
+        """Return a clause on what the matches say, for people."""
+        return (
+            f"{self.share:.0%} of {self.count} matches to where the other view shows them, and one "
+            f"depth for all pixels {self.blank:.0%}"
+        )
 
 
 def z_at(depth: np.ndarray, at: np.ndarray) -> Depth:
@@ -263,23 +274,60 @@ def choose_reading(
 ) -> tuple[Reading, Fitted]:
     """Choose the first reading that no other one fits much better.
 
+    It is said if the matches are too few to check it, or a constant depth fits them as well.
+
     Raises:
-        InputError: If that one does not fit the photographs, or not much better than a constant
-            depth.
+        InputError: If that one does not fit the photographs, or, if they can tell, not much better
+            than a constant depth; or if the inverse of the maps does.
     """
     tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
     best_error = min(fitted.error for _, fitted in tried)
     chosen, fitted = next(one for one in tried if BETTER_ERROR_RATIO * one[1].error <= best_error)
-    blank = fit(chosen[1], [lambda points: np.ones(len(points))] * len(chosen[1]), matches)
-    misfit = blank.error > MIN_PARALLAX and fitted.error > MAX_ERROR_RATIO * blank.error
-    if fitted.count >= 2 * MIN_MATCHES and (fitted.share < MIN_EXPLAINED_SHARE or misfit):
+    blank = fit(chosen[1], [_powered(depth, 0) for depth in chosen[2]], matches)
+    fitted = replace(fitted, blank=blank.share)
+    if fitted.count < 2 * MIN_MATCHES:
+        warnings.warn(
+            f"{place}: too few matches, {fitted.count}, to check how its numbers are meant; read "
+            "in the usual way, depth along z as it is",
+            stacklevel=5,
+        )
+        return chosen, fitted
+    is_confirmed = fitted.error <= MAX_ERROR_RATIO * blank.error
+    advice = ""
+    if not is_confirmed:
+        inverse = min(
+            (fit(cameras, [_powered(depth, -1) for depth in depths], matches)
+             for _, cameras, depths in readings),
+            key=lambda one: one.error,
+        )  # fmt: skip
+        if inverse.error < MAX_ERROR_RATIO * min(blank.error, fitted.error):
+            advice = f"; 1 / map takes {inverse.share:.0%}, so it is disparity or inverse depth: "
+            advice += "give depth"
+    misfit = blank.error > MIN_PARALLAX and not is_confirmed
+    if fitted.share < MIN_EXPLAINED_SHARE or misfit or advice:
         raise InputError(
             f"{place}: depth does not fit the photographs: the best of {len(tried)} readings, "
-            f"along z or the ray, takes {fitted.share:.0%} of {fitted.count} matches to where the "
-            f"other view shows them, and one depth for all pixels {blank.share:.0%}; check that "
-            "each map is of its photograph, in their order, and of these cameras"
+            f"along z or the ray, takes {fitted.evidence}"
+            + (advice or "; check that each map is of its photograph, in their order, and of these "
+               "cameras")
+        )  # fmt: skip
+    if not is_confirmed:
+        warnings.warn(
+            f"{place}: the matches cannot confirm the depth: it takes {fitted.evidence}; "
+            "photographs from places farther apart could",
+            stacklevel=5,
         )
     return chosen, fitted
+
+
+def _powered(depth: Depth, power: int) -> Depth:
+    """Return a function that looks up a power of the depth, 0 where it is unknown."""
+
+    def look_up(points: np.ndarray) -> np.ndarray:
+        z = np.asarray(depth(points), np.float64)
+        return np.power(z, power, out=np.zeros(z.shape), where=z > 0)
+
+    return look_up
 
 
 def _read(
@@ -299,17 +347,11 @@ def _read(
         ]
         readings.append(((way, ray, at, zs), cameras, list(map(z_at, zs, at))))
     ((way, ray, at, zs), _, _), fitted = choose_reading(place, readings, matches)
-    if fitted.count < 2 * MIN_MATCHES:
-        warnings.warn(
-            f"{place}: too few matches to check how depth is meant; taken along z, as it is",
-            stacklevel=4,
-        )
     applies = ray, len(ways[0]) > 1, bool(fitted.scaling)
     possible = "along the ray", f"of {way} photographs", fitted.scaling
     if notes := [note for note, holds in zip(possible, applies, strict=True) if holds]:
         warnings.warn(
-            f"{place}: depth is read {', '.join(notes)}: so it takes {fitted.share:.0%} of the "
-            "matches to where the other view shows them",
+            f"{place}: depth is read {', '.join(notes)}: so it takes {fitted.evidence}",
             stacklevel=4,
         )
     views_depth, confidence = [], []
