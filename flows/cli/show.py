@@ -127,7 +127,9 @@ def render(
         pictures = list(rendered)
         write_picture(out, *(shot.rgb for shot in pictures))
         if depth is not None:
-            write_map(depth, pictures[0].depth)
+            unit = write_map(depth, pictures[0].depth)
+            if depth.suffix.lower() == ".png":
+                typer.echo(f"{depth}: 1 is {unit:g} scene units", err=True)
         if ids is not None and (labels := pictures[0].ids) is not None:
             write_file(ids, encode_ids(labels)[1])
     typer.echo(out)

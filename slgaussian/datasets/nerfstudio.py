@@ -256,7 +256,11 @@ class Frame:
         name = self.values.get("depth_file_path")
         if name is None or not is_there(path := self.place(name)):
             return None
-        depth = read_map(path, unit=1.0)
+        try:
+            depth = read_map(path, unit=1.0, stated="depth_unit_scale_factor" not in self.values)
+        except InputError as bad:
+            warnings.warn(f"{bad}; the view is read without depth", stacklevel=2)
+            return None
         scale = self.number("depth_unit_scale_factor", MILLIMETRE)
         scale *= self.number("applied_scale", 1.0)
         if scale <= 0:
@@ -297,7 +301,8 @@ def read(path: str | Path) -> Scene:
     (:func:`slgaussian.datasets.photographs.find_masks`).
     Depth along z (:func:`slgaussian.formats.depth_maps.read_map`) is scaled by
     ``depth_unit_scale_factor`` and, like the poses, by ``applied_scale``, and resampled at the
-    image's pixel centres. A view whose depth file is missing has no depth.
+    image's pixel centres. A view whose depth file is missing has no depth;
+    of one that cannot be read, a warning says so.
 
     Args:
         path: ``transforms.json`` or the folder that holds it; other paths are relative to that

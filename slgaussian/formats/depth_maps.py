@@ -7,6 +7,7 @@ Values are returned as stored; the caller determines which of several convention
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from zipfile import ZipFile
 import cv2
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from slgaussian.checks import matching, order_naturally
 from slgaussian.errors import InputError
@@ -35,6 +37,11 @@ first name that exists is read."""
 
 MILLIMETRE = 1e-3  # scene units in one unit of an integer map
 MAX_BYTES = 48 * MAX_PIXELS  # largest decompressed size of an NPZ, bytes: 4 GiB
+MAX_LEVEL = 2**16 - 1
+UNIT_KEY = "slgaussian depth unit"  # text of a PNG: scene units in 1, if no thousandth
+DEPTH_ADVICE = (
+    "save depth as .npy, .npz, .pfm, .tiff or .png of one number a pixel, of 16 bits or more"
+)
 WRITABLE_SUFFIXES = (".npy", ".png")  # suffixes that `write_map` supports
 
 
@@ -161,26 +168,42 @@ def read_geometry(file: Path) -> GeometryFile:
     return GeometryFile(file, maps, poses, inverted, names)
 
 
-def read_map(file: Path, byte: bool = False, unit: float = MILLIMETRE) -> np.ndarray:
+def read_map(
+    file: Path, byte: bool = False, unit: float = MILLIMETRE, stated: bool = True
+) -> np.ndarray:
     """Read a file of one map [h, w]: integers times ``unit``, floating-point values unchanged.
 
-    With ``byte``, for maps of confidence, 8-bit integers are allowed.
+    Args:
+        byte: Whether 8-bit integers are allowed, for maps of confidence.
+        unit: Value of 1 in integer maps.
+        stated: Whether a PNG that :func:`write_map` wrote in another unit than millimetres scales
+            ``unit`` accordingly.
 
     Raises:
         InputError: If it cannot be read, or is not a depth map.
     """
+    suffix = file.suffix.lower()
+    if suffix == ".npz":
+        maps = read_geometry(file).maps
+        if len(maps) != 1:
+            raise InputError(f"{file}: holds {len(maps)} depth maps, expected that of one view")
+        return maps[0].depth
     try:
-        if file.suffix == ".npy":
+        if suffix == ".npy":
             pixels = read_npy(file)
-        elif file.suffix == ".pfm":
+        elif suffix == ".pfm":
             pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
             if pixels is None:
                 raise ValueError("no PFM")
+        elif suffix == ".exr":
+            raise ValueError("EXR")
         else:
             with opened(file, kinds=["PNG", "TIFF"]) as image:
                 pixels = np.asarray(image)
+                if stated:
+                    unit *= float(image.info.get(UNIT_KEY, MILLIMETRE)) / MILLIMETRE
     except (OSError, ValueError) as problem:
-        raise unreadable(file, problem) from None
+        raise unreadable(file, problem, DEPTH_ADVICE) from None
     pixels = pixels.squeeze()
     if pixels.ndim != 2 or not pixels.size or pixels.dtype.kind not in "uif" or (
         pixels.dtype.itemsize == 1 and not byte
@@ -192,28 +215,30 @@ def read_map(file: Path, byte: bool = False, unit: float = MILLIMETRE) -> np.nda
     return pixels * unit if pixels.dtype.kind in "ui" else pixels
 
 
-def write_map(file: Path, depth: np.ndarray) -> None:
-    """Write z-depth float32 [H, W] as :func:`read_map` reads it: .npy or .png.
+def write_map(file: Path, depth: np.ndarray) -> float:
+    """Write z-depth float32 [H, W] as :func:`read_map` reads it, .npy or .png; return the unit.
 
-    A .png has 16 bits, in thousandths of a scene unit.
+    A .png has 16 bits, in thousandths of a scene unit, or in the power of ten that holds the depth
+    with at least three digits. The latter is written into the file.
 
     Raises:
-        InputError: If the suffix is not supported, a value is too large for .png, or the file
-            cannot be written.
+        InputError: If the suffix is not supported, or the file cannot be written.
     """
-    content, suffix = io.BytesIO(), file.suffix.lower()
+    content, suffix, unit = io.BytesIO(), file.suffix.lower(), 1.0
     if suffix == ".npy":
         np.save(content, depth)
     elif suffix == ".png":
-        if depth.max(initial=0) > MILLIMETRE * (2**16 - 1):
-            raise InputError(
-                f"{file}: depth reaches {depth.max():.4g}, and a .png holds at most 65.535; "
-                "write .npy"
-            )
-        Image.fromarray(np.rint(depth / MILLIMETRE).astype(np.uint16)).save(content, "PNG")
+        unit, info, largest = MILLIMETRE, PngInfo(), float(depth.max(initial=0))
+        if largest > 0 and not 100 <= largest / unit <= MAX_LEVEL:
+            unit = 10.0 ** math.ceil(math.log10(largest / MAX_LEVEL))
+        if unit != MILLIMETRE:
+            info.add_text(UNIT_KEY, f"{unit:g}")
+        pixels = np.rint(depth.astype(np.float64) / unit).astype(np.uint16)
+        Image.fromarray(pixels).save(content, "PNG", pnginfo=info)
     else:
         raise InputError(f"{file}: expected the name to end in {', '.join(WRITABLE_SUFFIXES)}")
     write_file(file, content.getvalue())
+    return unit
 
 
 def known_depth(depth: np.ndarray) -> np.ndarray:
@@ -236,7 +261,7 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
             }
             return {ours: stored[names[0]] for ours, names in present.items() if names}
     except Exception as problem:  # a damaged archive raises almost anything
-        raise unreadable(file, problem) from None
+        raise unreadable(file, problem, DEPTH_ADVICE) from None
 
 
 def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:

@@ -137,6 +137,8 @@ def _maps_of(file: Path, views: Sequence[View]) -> list[DepthMap]:
 def _find_map(folder: Path, view: View) -> DepthMap:
     file = companion(folder, view.name, DEPTH_SUFFIXES, view.namesakes)
     if file is None:
+        if (other := companion(folder, view.name, (".exr",), view.namesakes)) is not None:
+            read_map(other)  # says what to save instead
         raise InputError(
             f"{folder}: has no depth of view {view.name!r}; expected {Path(view.name).stem} with "
             f"one of {', '.join(DEPTH_SUFFIXES)}"

@@ -11,6 +11,7 @@ from posed_folders import HEIGHT, WIDTH, picture, write_pictures
 
 from slgaussian.datasets import nerfstudio
 from slgaussian.errors import InputError
+from slgaussian.formats.depth_maps import write_map
 
 INTRINSICS = {"fl_x": 80.0, "fl_y": 82.0, "cx": 47.3, "cy": 33.1, "w": WIDTH, "h": HEIGHT}
 IDENTITY = np.eye(4).tolist()
@@ -127,8 +128,30 @@ def test_depth_is_resampled_at_pixel_centres_and_undistorted_without_new_values(
 def test_depth_of_wrong_shape_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"d\.npy: is 64x96, of another shape than its"):
         read_depth(tmp_path, np.ones((WIDTH, HEIGHT)))
-    with pytest.raises(InputError, match=r"d\.npy: is float64 \(64, 96, 3\), expected one"):
-        read_depth(tmp_path, np.ones((HEIGHT, WIDTH, 3)))
+
+
+def test_depth_that_cannot_be_read_is_said_and_leaves_the_photograph(tmp_path):
+    colours = r"d\.npy: is float64 \(64, 96, 3\), expected one .*; the view is read without depth"
+    with pytest.warns(UserWarning, match=colours):
+        assert read_depth(tmp_path, np.ones((HEIGHT, WIDTH, 3))) is None
+    (tmp_path / "d.exr").write_bytes(b"v/1\1")
+    np.savez(tmp_path / "d.npz", depth=np.full((HEIGHT, WIDTH), 1500.0))
+    for name in ("d.exr", "d.npz"):
+        view = nerfstudio.read(write(tmp_path, [frame("a.png", depth_file_path=name)]))
+        if name == "d.npz":
+            assert view.read("a.png").depth == pytest.approx(np.full((HEIGHT, WIDTH), 1.5))
+            continue
+        with pytest.warns(UserWarning, match=r"d\.exr: cannot be read \(EXR\); save depth as") as e:
+            assert (view.read("a.png").image == picture(0)).all()
+        assert "JPEG" not in str(e[0].message)
+
+
+def test_the_unit_that_a_png_states_is_followed_unless_the_file_states_one(tmp_path):
+    depth = np.linspace(50, 90, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
+    assert write_map(tmp_path / "d.png", depth) == 0.01
+    for top in ({}, {"depth_unit_scale_factor": 0.01}):
+        file = write(tmp_path, [frame("a.png", depth_file_path="d.png")], **top)
+        assert nerfstudio.read(file).read("a.png").depth == pytest.approx(depth, abs=0.006)
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg"])

@@ -17,7 +17,8 @@ from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep, sweep
-from slgaussian.predict.precomputed import find_maps
+from slgaussian.predict.precomputed import _read as read_depths
+from slgaussian.predict.precomputed import agreeing, find_maps
 from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Sample, View
 
@@ -88,9 +89,32 @@ def test_files_of_a_map_are_read(tmp_path, kind):
     np.testing.assert_allclose(read_map(tmp_path / f"d.{kind}"), depth, atol=1e-3)
 
 
-def test_a_map_that_a_png_cannot_hold_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"d\.png: depth reaches 70, and a \.png holds at most 65"):
-        write_map(tmp_path / "d.png", np.full((3, 4), 70, np.float32))
+@pytest.mark.parametrize(
+    ("largest", "unit"), [(7, 1e-3), (65.5, 1e-3), (70, 1e-2), (41000, 1), (3e-2, 1e-6)]
+)
+def test_a_png_holds_depth_of_any_range_in_the_unit_that_it_states(tmp_path, largest, unit):
+    depth = np.linspace(0.3, 1, 12, dtype=np.float32).reshape(3, 4) * largest
+    assert write_map(tmp_path / "d.png", depth) == pytest.approx(unit)
+    with Image.open(tmp_path / "d.png") as image:
+        pixels, is_usual = np.asarray(image), "slgaussian depth unit" not in image.info
+    assert is_usual == (unit == 1e-3)
+    np.testing.assert_allclose(pixels * unit, depth, atol=unit / 2 * 1.01)
+    np.testing.assert_allclose(read_map(tmp_path / "d.png"), pixels * unit)
+    np.testing.assert_allclose(read_map(tmp_path / "d.png", unit=2, stated=False), pixels * 2)
+
+
+def test_a_map_of_another_format_is_said_with_those_that_depth_may_have(tmp_path, steep):
+    np.savez(tmp_path / "d.npz", depth=np.full((3, 4), 2.5))
+    assert (read_map(tmp_path / "d.npz") == 2.5).all()
+    np.savez(tmp_path / "two.npz", depth=np.full((2, 3, 4), 2.5))
+    with pytest.raises(InputError, match=r"two\.npz: holds 2 depth maps, expected that of one"):
+        read_map(tmp_path / "two.npz")
+    (tmp_path / "0.exr").write_bytes(b"v/1\1")
+    with pytest.raises(
+        InputError, match=r"0\.exr: cannot be read \(EXR\); save depth as \.npy"
+    ) as e:
+        predicted(steep, tmp_path)
+    assert "photograph" not in str(e.value)
 
 
 def test_samples_of_one_place_share_its_folder(tmp_path, steep):
@@ -150,6 +174,36 @@ def test_depth_that_no_reading_fits_is_refused(tmp_path, steep, change, message)
     file = saved(tmp_path, depth=change(true_depth(steep)))
     with pytest.raises(InputError, match=message):
         predicted(steep, file)
+
+
+@pytest.mark.parametrize("step", [0.6, 0.1, 0.03])
+def test_disparity_given_as_depth_is_refused_at_any_parallax(tmp_path, step):
+    pair = camera(turn=0.02), camera(x=step, turn=-0.02)
+    scene = Sample("steep", tuple(STEEP.view(f"{i}.png", one) for i, one in enumerate(pair)))
+    depth = true_depth(scene)
+    assert off(scene, saved(tmp_path, depth=depth)) < 0.02
+    for disparity in (1 / depth, 80 / depth, 1 / depth + 0.01):
+        with pytest.raises(InputError, match=r"1 / map takes \d+%, so it is disparity or inverse"):
+            predicted(scene, saved(tmp_path, depth=disparity))
+
+
+@pytest.mark.parametrize("change", [np.ones_like, lambda depth: depth[:, ::-1]])
+def test_depth_that_the_matches_cannot_confirm_is_said(tmp_path, change):
+    flat = Plane(np.array([0.03, 0.02, 1.0]), 3.0)
+    pair = camera(), camera(x=0.1)
+    scene = Sample("flat", tuple(flat.view(f"{i}.png", one) for i, one in enumerate(pair)))
+    says = (
+        r"cannot confirm the depth: it takes (9\d|100)% of .* one depth for all pixels (9\d|100)%"
+    )
+    with pytest.warns(UserWarning, match=says):
+        predicted(scene, saved(tmp_path, depth=change(true_depth(scene))))
+
+
+def test_a_reading_that_no_match_checks_is_said(tmp_path, steep):
+    blank = [replace(view, image=np.full_like(view.image, 90)) for view in steep.context]
+    maps = find_maps(saved(tmp_path, depth=true_depth(steep)), steep)
+    with pytest.warns(UserWarning, match="too few matches, 0, to check how its numbers are meant"):
+        read_depths(tmp_path, blank, maps, agreeing(blank, MatchGraph.of(blank)))
 
 
 def test_names_tell_maps_apart(tmp_path, steep):
