@@ -15,6 +15,8 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from slgaussian.formats.colour import decode_srgb, encode_srgb
+
 SHADE_STEP = 0.5
 """Ratio of intensities of neighbouring points on a swatch's line; at most about 20 in L*."""
 
@@ -73,11 +75,10 @@ class ColourNames:
 def _points(hexes: list[str], darkest: float) -> np.ndarray:
     """Compute the weighted CIELAB points [S, 3] of one colour name."""
     rgb = np.array([[int(h[i : i + 2], 16) for i in (1, 3, 5)] for h in hexes]) / 255
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    linear = decode_srgb(rgb)
     steps = 1 + int(np.ceil(np.log(darkest) / np.log(SHADE_STEP)))
     linear = (linear * np.geomspace(1, darkest, steps)[:, None, None]).reshape(-1, 3)
-    rgb = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return _weighted_lab(rgb[None])
+    return _weighted_lab(encode_srgb(linear)[None])
 
 
 def _weighted_lab(rgb: np.ndarray) -> np.ndarray:

@@ -6,7 +6,8 @@ import numpy as np
 
 from slgaussian.datasets.procedural import textures
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING
-from slgaussian.datasets.procedural.textures import RGB, Material, linear
+from slgaussian.datasets.procedural.textures import RGB, Material
+from slgaussian.formats.colour import decode_srgb
 
 COLOURS = {
     "red": (0.76, 0.12, 0.13),
@@ -71,7 +72,7 @@ def material(rng: np.random.Generator, words: str, cell: float) -> Material:
 def jitter(rng: np.random.Generator, srgb: RGB) -> RGB:
     """Return a linear colour near an sRGB colour, with random lightness and hue."""
     values = np.clip(np.array(srgb) * rng.uniform(0.94, 1.05) + rng.normal(0, 0.008, 3), 0.02, 0.97)
-    r, g, b = linear(values).tolist()
+    r, g, b = decode_srgb(values).tolist()
     return r, g, b
 
 

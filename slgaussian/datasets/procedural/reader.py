@@ -11,6 +11,7 @@ from slgaussian.datasets.procedural import raycast
 from slgaussian.datasets.procedural.rooms import FOCUS, MAX_OBJECTS, Room, furnish
 from slgaussian.datasets.procedural.shading import photograph
 from slgaussian.errors import InputError
+from slgaussian.formats.colour import encode_srgb
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Camera, Scene, View
 
@@ -123,4 +124,4 @@ def _encoded(light: np.ndarray) -> np.ndarray:
     knee = 0.8
     excess = np.maximum(light - knee, 0) / (1 - knee)
     light = np.where(light > knee, knee + (1 - knee) * excess / (1 + excess), light)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return encode_srgb(light)

@@ -17,6 +17,7 @@ import numpy as np
 import skimage.data
 
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING
+from slgaussian.formats.colour import decode_srgb
 from slgaussian.kernels.jit import kernel
 
 PLAIN, STRIPED, CHECKED, DOTTED, SPECKLED, WOODEN, MARBLE, BRICK, PHOTO, PICTURE = range(10)
@@ -80,12 +81,6 @@ def pack(materials: Sequence[Material], rng: np.random.Generator) -> Materials:
     )
 
 
-def linear(srgb: np.ndarray | Sequence[float]) -> np.ndarray:
-    """Return the linear light of sRGB values in [0, 1] (IEC 61966-2-1)."""
-    srgb = np.asarray(srgb, np.float64)
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
 @cache
 def _photos() -> np.ndarray:
     out = []
@@ -95,7 +90,7 @@ def _photos() -> np.ndarray:
         top, left = (image.shape[0] - side) // 2, (image.shape[1] - side) // 2
         image = image[top : top + side, left : left + side]
         small = cv2.resize(image, (PHOTO_SIZE, PHOTO_SIZE), interpolation=cv2.INTER_AREA)
-        values = linear(small / 255.0)
+        values = decode_srgb(small / 255.0)
         if values.ndim == 2:  # a material: divided by its mean, so that the tint sets the colour
             values = np.repeat((values / values.mean())[..., None], 3, axis=-1)
         out.append(values)
