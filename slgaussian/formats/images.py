@@ -118,7 +118,7 @@ def mask_levels(
     """
     try:
         with opened(source, kinds) as image:
-            is_halved = ";16" in str(image.tile) and not image.mode.startswith("I")
+            is_halved = ";16" in str(getattr(image, "tile", "")) and not image.mode.startswith("I")
             levels = _grey_or_alpha(image)
             if is_halved and not levels.any():  # Pillow reads the upper 8 bits of such colours
                 raise ValueError("colours of 16 bits that are all below 256")

@@ -1,6 +1,7 @@
 """Labels of frames: polygons, holes and boxes, their place in a resized view, and bad files."""
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -125,7 +126,10 @@ LARGE = [[10, 4], [30, 4], [30, 16], [10, 16]]
 )
 def test_a_box_is_read_in_the_form_that_its_polygon_confirms(tmp_path, polygon, bbox, expected):
     write(tmp_path, thing("crate", polygon, bbox), thing("sofa"))
-    boxes = read_truth(tmp_path, ["crate", "sofa"], [view_of()]).boxes[NAME]
+    is_coco = not np.allclose(np.sort(np.reshape(bbox, (2, 2)), 0).ravel(), expected)
+    says = pytest.warns(UserWarning, match=r"frame_1\.json: 1 boxes are x, y, width, height, as th")
+    with says if is_coco else nullcontext():
+        boxes = read_truth(tmp_path, ["crate", "sofa"], [view_of()]).boxes[NAME]
     np.testing.assert_allclose(boxes["crate"], [expected])
     np.testing.assert_allclose(boxes["sofa"], [(2.9, 1.9, 17.4, 13.8)])
 
