@@ -203,7 +203,7 @@ CAMERA_COLUMNS = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for 
 """Columns of a camera in the table: a row of a chunk without its two zeros."""
 
 
-@stage("views", version=1)
+@stage("views", version=2)
 def views(run: RunContext, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
     """Compute the properties of all views of a chunk: spec ``views``.
 

@@ -30,7 +30,7 @@ from tasks.scene import geometry, masks
 from tasks.stage import stage
 
 
-@stage("framed", version=2)
+@stage("framed", version=3)
 def framed(
     run: RunContext, chunk: KnownFile | ArtifactRef, frames: Mapping[str, Any], framing: Framing
 ) -> ArtifactRef:

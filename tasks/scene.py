@@ -229,7 +229,7 @@ class Labels:
         return read_truth(self.folder, self.categories, sample.targets)
 
 
-@stage("truth", version=3)
+@stage("truth", version=4)
 def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     """Read the ground truth of the targets: spec ``truth``."""
     views = run.read(sample, sample_from_arrays)
