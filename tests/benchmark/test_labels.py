@@ -149,14 +149,25 @@ def test_an_object_in_parts_may_have_the_box_of_all_of_them(tmp_path):
         ({"segmentation": [[20, 14], [50, 14], [50, 16]]}, "20, 14, 50, 16, outside the 40x24"),
         ({"segmentation": LARGE, "bbox": (0.25, 0.2, 0.75, 0.7)}, "its box is 0.25, 0.2, 0.75, 0"),
         ({"segmentation": LARGE, "bbox": (4, 10, 16, 30)}, "its box is 4, 10, 16, 30, but its pol"),
-        ({"segmentation": NEAR, "bbox": (1, 4, 20, 22)}, "its box is 1, 4, 20, 22, but its polygon"),
+        (
+            {"segmentation": NEAR, "bbox": (1, 4, 20, 22)},
+            "its box is 1, 4, 20, 22, but its polygon",
+        ),
         ({"segmentation": LARGE, "bbox": (20, 10, 20, 12)}, "spans 10, 4, 30, 16; give x0, y0"),
         (
             {"segmentation": LARGE, "holes": [[[20, 10], [28, 10], [28, 28]]]},
             "a hole of it 20, 10, 28, 28",
         ),
     ],
-    ids=["fractions", "another size", "box in fractions", "rows first", "rows first, similar", "centre", "hole"],
+    ids=[
+        "fractions",
+        "another size",
+        "box in fractions",
+        "rows first",
+        "rows first, similar",
+        "centre",
+        "hole",
+    ],
 )
 def test_numbers_of_labels_that_contradict_each_other_are_refused(tmp_path, wrong, message):
     with pytest.raises(InputError, match=rf"frame_1\.json: 'cup': .*{message}"):
