@@ -228,7 +228,7 @@ def _count_pixels(file: Path, stamp: object) -> int:
         with opened(file) as image:
             count = image.width * image.height
             image.draft("RGB", (1, 1))  # decodes a JPEG all the same, in a third of the time
-            rgb(image)
+            rgb(image, file)
     except (OSError, ValueError) as bad:
         raise unreadable(file, bad) from None
     return count
@@ -268,14 +268,19 @@ class Mask(NamedTuple):
     def read_alpha(self, width: int, height: int) -> np.ndarray:
         """Read the mask as an alpha channel uint8 [height, width] of the photograph.
 
-        Values 0 and 1 are scaled; a mask of another size is resampled. A mask that is black
-        everywhere is named by a warning, and by its place one of ids or grey levels is passed over.
+        A mask of another size is resampled. A mask that is black everywhere is named by a warning,
+        and by its place one of ids or grey levels is passed over.
 
         Raises:
             InputError: If the file cannot be read or has another shape than the photograph.
         """
-        levels = mask_levels(self.file)
-        levels = levels * np.uint8(255) if levels.max() == 1 else levels
+        try:
+            levels = mask_levels(self.file, warn=False)
+        except InputError as bad:
+            if not self.by_place:
+                raise
+            warnings.warn(f"{bad}; it is passed over", stacklevel=2)
+            return np.full((height, width), 255, np.uint8)
         grey = (levels > 25) & (levels < 230)
         if self.by_place and (grey.mean() > MAX_GREY or 0 < levels.max() < 230):
             warnings.warn(
