@@ -148,7 +148,7 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
         computed = _compute(config, scenes, variants, workers, progress)
     for scene, data in computed.manifest["data"].items():
         for name, reason in data["left_out"].items():
-            progress.line(f"warning: {scene}: {name} has no camera and is left out: {reason}")
+            progress.line(f"warning: {scene}: {name} is left out: {reason}")
     with writing(config.out):
         results = _write(config, store, computed)
     page = None if computed.report is None else config.out / "report.html"

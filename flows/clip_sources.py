@@ -163,11 +163,11 @@ def map_sources(
 
 
 def choose_samples(
-    holds: PosedFolder | Room | str, bounds: Bounds, targets: int
+    holds: PosedFolder | Room | str, bounds: Bounds, trust_cameras: bool, targets: int
 ) -> tuple[KnownFile | ArtifactRef, ArtifactRef]:
     """Run the pipeline from a source to the choice of its samples; return chunk and ``pairs``."""
     if isinstance(holds, str):
         chunk: KnownFile | ArtifactRef = known_chunk(current_run().store, holds)
     else:
-        chunk = packed(holds)
+        chunk = packed(holds, trust_cameras)
     return chunk, pairs(views(chunk), bounds, targets)

@@ -60,7 +60,7 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
     """
 
     def work(store: ArtifactStore) -> Prepared:
-        arguments = Bounds.of(config), TARGETS
+        arguments = Bounds.of(config), config.trust_cameras, TARGETS
         prepared, clips = _prepare(config, store, INGEST, choose_samples, arguments, verbose)
         _write_chunks(config.out / "chunks", clips, store)
         return prepared
@@ -84,16 +84,22 @@ def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = Fals
     """Do the work of :func:`supervise_corpus` within any flow."""
     method = config.built_by
     method.check()
-    arguments = Bounds.of(config), Framing(config.size, config.near, config.far), method
+    framing = Framing(config.size, config.near, config.far)
+    arguments = Bounds.of(config), config.trust_cameras, framing, method
     return _prepare(config, store, SUPERVISE, make_lessons, arguments, verbose)[0]
 
 
 def make_lessons(
-    holds: PosedFolder | Room | str, bounds: Bounds, framing: Framing, method: Method
+    holds: PosedFolder | Room | str,
+    bounds: Bounds,
+    trust_cameras: bool,
+    framing: Framing,
+    method: Method,
 ) -> None:
     """Run the pipeline from a source to the lessons of its samples."""
-    chunk, samples = choose_samples(holds, bounds, TARGETS)
-    predicted = predictions(samples, chunk, framing, method.predictor, method.seed)
+    chunk, samples = choose_samples(holds, bounds, trust_cameras, TARGETS)
+    predictor = method.predictor, method.seed, trust_cameras
+    predicted = predictions(samples, chunk, framing, *predictor)
     components = method.proposer, method.tracker, method.replicas, method.votes
     lessons(samples, predicted, chunk, framing, *components)
 

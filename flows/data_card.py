@@ -44,7 +44,7 @@ for each context view. Depth, labels and features are predicted, not measured. A
 {counts} samples. All clips of a place are in one split. {refused} frames, clips and samples were
 refused; `failures.parquet` has the reasons. Distribution of the set requires the right to
 distribute the photographs in it.
-
+{masked}
 The shards are tar files, which `torch`, `webdataset` and `datasets` read:
 
 ```python
@@ -61,13 +61,20 @@ same sources and settings give the same bytes on the same type of processor:
 ```
 """
 
+MASKED = """
+Photographs of {} are transparent in part. These pixels are black, without depth and labels;
+`opaque` in `geometry.npz` is false there, and missing where all is opaque.
+"""
+"""Paragraph of a set with transparent pixels."""
+
 
 def write_card(
-    out: Path, settings: DatasetSettings, refused: int, stages: Mapping[str, int]
+    out: Path, settings: DatasetSettings, refused: int, stages: Mapping[str, int], masked: int
 ) -> None:
     """Write the card beside the index of a set; OSError if that fails.
 
-    ``refused`` is the number of failures, and ``stages`` has the versions of the stages.
+    ``refused`` is the number of failures, ``stages`` has the versions of the stages, and ``masked``
+    is the number of samples with transparent pixels.
     """
     rows = TrainingSet(out).rows
     counts = Counter(rows["split"].to_pylist())
@@ -88,6 +95,7 @@ def write_card(
         counts=" and ".join(f"{counts[split]} {split}" for split in splits),
         refused=refused,
         split=splits[0],
+        masked=MASKED.format(count_text(masked, "sample")) if masked else "",
         slgaussian=__version__,
         numpy=version("numpy"),
         torch=version("torch"),

@@ -77,7 +77,7 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
     stages = packed, views, pairs, *SAMPLES
     refresh = stages_to_refresh(config, [stage.name for stage in stages])
     with open_workers(config.runner, config.workers, store, refresh) as workers:
-        arguments = Bounds.of(config), config.targets
+        arguments = Bounds.of(config), config.trust_cameras, config.targets
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         places = Places()
         tasks = _sample_tasks(config, clips, store, places)
@@ -93,7 +93,8 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
     versions = {stage.name: stage.version for stage in stages}
     with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
-        write_card(config.out, config, len(failures), versions)
+        masked = sum("opaque" in item.ref.meta for item in finished)
+        write_card(config.out, config, len(failures), versions, masked)
     places_left = {item.place for item in finished}
     return TrainingSetResult(len(finished), len(places_left), *written, failures)
 

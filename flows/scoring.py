@@ -116,8 +116,10 @@ def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
         views = scene.views(list(texts), target_size(settings.size))
         masks: dict[str, Any] = {}
         boxes: dict[str, Any] = {}
+        opaque: dict[str, Any] = {}
         for view, of_frame in zip(views, texts.values(), strict=True):
             truth = read_truth(root / place, of_frame, [view])
             masks |= truth.masks
             boxes |= truth.boxes
-        yield JudgedScene(name, folder_of(data).name, None, Truth(masks, boxes))
+            opaque |= truth.opaque
+        yield JudgedScene(name, folder_of(data).name, None, Truth(masks, boxes, opaque))

@@ -8,8 +8,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
-from slgaussian.cameras.check import check_pairs, refuse
+from slgaussian.cameras.check import PairCheck, check_pairs, refuse
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.component import Component
@@ -17,16 +18,17 @@ from slgaussian.components.method import Method
 from slgaussian.errors import check_type
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
-from slgaussian.geometry import SceneGeometry
+from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.predict import CountingPredictor, Depths
+from slgaussian.predict import CountingPredictor, Depths, GaussianPredictor
 from slgaussian.predict.view_graph import select_usable
+from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import Change, merge
-from slgaussian.scene import Camera, Sample, View
+from slgaussian.scene import Camera, Sample, opaque_pixels
 
 
 class Predicted(NamedTuple):
@@ -74,16 +76,8 @@ def build_field(
     check_type(sample, Sample, "build_field: expected a Sample, as slg.photographs returns it")
     method = method or Method()
     check_type(method, Method, "build_field: expected a Method, such as slg.Method(encoder='clip')")
-    method.check()
-    sample, graph, left_out = select_usable(sample)
-    for name, reason in left_out.items():
-        warnings.warn(f"{name} is left out: {reason}", stacklevel=2)
-    with _timed("geometry", took):
-        predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras)
-        gaussians, geometry, quality, depths = predicted
-    with _timed("masks", took):
-        masking = method.proposer, method.tracker, method.replicas, method.votes
-        label_maps = label_views(geometry, *masking)
+    sample, predicted, label_maps = label_photographs(sample, method, trust_cameras, took)
+    gaussians, geometry, quality, depths = predicted
     with _timed("supervision", took):
         components = method.encoder, method.codes, method.seed, method.bank
         bank = build_memory_bank(sample, geometry, label_maps, *components)
@@ -91,23 +85,59 @@ def build_field(
         return lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
 
 
+def label_photographs(
+    sample: Sample,
+    method: Method,
+    trust_cameras: bool = False,
+    took: Callable[[str, float], None] = lambda step, seconds: None,
+) -> tuple[Sample, Predicted, LabelMaps]:
+    """Do the first steps of :func:`build_field`, up to the label maps; return the usable views too.
+
+    Raises:
+        InputError: As :func:`build_field`.
+    """
+    method.check()
+    sample, graph, left_out = select_usable(sample)
+    for name, reason in left_out.items():
+        warnings.warn(f"{name} is left out: {reason}", stacklevel=3)
+    with _timed("geometry", took):
+        predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras)
+    with _timed("masks", took):
+        masking = method.proposer, method.tracker, method.replicas, method.votes
+        label_maps = label_views(predicted.geometry, *masking)
+    return sample, predicted, label_maps
+
+
+def check_cameras(
+    sample: Sample, graph: MatchGraph, trust_cameras: bool = False
+) -> list[PairCheck]:
+    """Check the cameras of context views by their matches.
+
+    Raises:
+        InputError: As :func:`slgaussian.cameras.check.refuse`, unless ``trust_cameras``.
+    """
+    checks = check_pairs(sample.context, graph)
+    if not trust_cameras:
+        refuse(sample.scene, checks, any(view.camera.estimated for view in sample.context))
+    return checks
+
+
 def predict(
     sample: Sample,
     graph: MatchGraph,
-    predictor: Component,
+    predictor: Component | GaussianPredictor,
     seed: int,
     trust_cameras: bool = False,
 ) -> Predicted:
     """Predict Gaussians from context views and their matches (paper, section 3.1).
 
+    Transparent pixels give none. ``predictor`` is loaded first if it is a component.
+
     Raises:
-        InputError: As :func:`slgaussian.cameras.check.refuse`, unless ``trust_cameras``, and as the
-            predictor.
+        InputError: As :func:`check_cameras` and as the predictor.
     """
-    checks = check_pairs(sample.context, graph)
-    if not trust_cameras:
-        refuse(sample.scene, checks, any(view.camera.estimated for view in sample.context))
-    loaded, depths = predictor.load(), None
+    checks = check_cameras(sample, graph, trust_cameras)
+    loaded, depths = predictor.load() if isinstance(predictor, Component) else predictor, None
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()
     if isinstance(loaded, CountingPredictor):
@@ -115,7 +145,7 @@ def predict(
     else:
         gaussians = loaded(local, seed, graph)
     gaussians = gaussians.place(frame)
-    opaque = _opaque(sample.context)
+    opaque = opaque_pixels(sample.context)
     if opaque is not None:
         gaussians = gaussians[opaque.ravel()[gaussians.to_arrays()["source"]]]
     geometry = SceneGeometry.of(sample.context, gaussians)
@@ -125,17 +155,43 @@ def predict(
     return Predicted(gaussians.with_arrays(guessed=guessed), geometry, quality, depths)
 
 
+def see_targets(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
+    """Return the targets with the rendered depth of the context's Gaussians.
+
+    Mean depth would put a surface between foreground and background at edges, so it is the median.
+    """
+    nothing = torch.zeros(len(gaussians), 1)
+    targets = []
+    for view in sample.targets:
+        median = rasterize(gaussians, nothing, view.camera, median=True).median
+        assert median is not None  # as it is asked for
+        local = replace(view, camera=gaussians.localize(view.camera))  # as the context's
+        targets.append(SeenView(local, median.numpy()))
+    return targets
+
+
 def label_views(
     geometry: SceneGeometry,
     proposer: Component,
     tracker: Component,
     replicas: int,
     votes: str = "views",
+    targets: Sequence[SeenView] = (),
 ) -> LabelMaps:
-    """Compute consistent object ids of the context views (paper, section 3.2, Mask Association)."""
-    maps = associate(geometry.frames, proposer.load(), tracker.load(), replicas, votes)
-    opaque = _opaque(geometry.views)
-    return maps if opaque is None else replace(maps, labels=np.where(opaque, maps.labels, 0))
+    """Compute consistent object ids of the context views (paper, section 3.2, Mask Association).
+
+    Those of ``targets``, if given, come after them: their objects are those of the context views,
+    as others have no code. Transparent pixels have no object.
+    """
+    frames = [*geometry.frames, *targets]
+    maps = associate(frames, proposer.load(), tracker.load(), replicas, votes)
+    labels, opaque = maps.labels, opaque_pixels([frame.view for frame in frames])
+    if opaque is not None:
+        labels = np.where(opaque, labels, 0)
+    if targets:
+        context = labels[: len(geometry.frames)]
+        labels = np.where(np.isin(labels, np.unique(context)), labels, 0)
+    return replace(maps, labels=labels)
 
 
 def build_memory_bank(
@@ -218,12 +274,3 @@ def _timed(step: str, took: Callable[[str, float], None]) -> Iterator[None]:
 
 def _size(arrays: Mapping[str, np.ndarray]) -> int:
     return sum(array.nbytes for array in arrays.values())
-
-
-def _opaque(views: Sequence[View]) -> np.ndarray | None:
-    """Return the opaque pixels of the views, bool [V, H, W]; None if all are."""
-    masks = [view.opaque for view in views]
-    if all(mask is None for mask in masks):
-        return None
-    full = np.ones(views[0].image.shape[:2], bool)
-    return np.stack([full if mask is None else mask for mask in masks])

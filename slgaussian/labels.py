@@ -55,6 +55,14 @@ class LabelMaps:
         """Sorted ids of the objects that only one view shows, int32."""
         return self.ids[(self.areas() > 0).sum(1) == 1]
 
+    def split(self, count: int) -> tuple[LabelMaps, LabelMaps]:
+        """Return the maps of the first ``count`` views, and those of the others."""
+        first, others = slice(count), slice(count, None)
+        return (
+            LabelMaps(self.labels[first], self.margin[first], self.computed),
+            LabelMaps(self.labels[others], self.margin[others], self.computed),
+        )
+
     def areas(self) -> np.ndarray:
         """Count the pixels of each object in each view, int64 [N, V], rows as in :attr:`ids`."""
         ids = self.ids

@@ -232,8 +232,8 @@ class View:
         depth: float32 [H, W] or None. True z-depth in scene units, 0 where unknown. For evaluation
             only: no method may read it.
         instances: int32 [H, W] or None. True object ids, 0 where none. For evaluation only.
-        opaque: bool [H, W] or None. False where the photograph is transparent: nothing is there.
-            None where all is opaque.
+        opaque: bool [H, W] or None. False where the photograph is transparent: nothing is there,
+            and the truths are unknown. None where all is opaque.
         window: Part of the photograph that is shown, where it was resized or cropped; None for all
             of it.
         namesakes: Other photographs of the scene with the same file name, see
@@ -262,6 +262,8 @@ class View:
             truth = getattr(self, name)
             if truth is not None and truth.shape != size:
                 raise InputError(f"view {self.name!r}: {name} is {truth.shape}, expected {size}")
+            if truth is not None and self.opaque is not None and name != "opaque":
+                object.__setattr__(self, name, np.where(self.opaque, truth, truth.dtype.type(0)))
 
     @property
     def shown(self) -> Window:
@@ -303,6 +305,15 @@ class View:
             opaque=None if self.opaque is None else part.mask(self.opaque, *size),
             window=self.shown.cropped(fit),
         )
+
+
+def opaque_pixels(views: Sequence[View]) -> np.ndarray | None:
+    """Return the opaque pixels of views of one size, bool [V, H, W]; None if all are."""
+    masks = [view.opaque for view in views]
+    if all(mask is None for mask in masks):
+        return None
+    full = np.ones(views[0].image.shape[:2], bool)
+    return np.stack([full if mask is None else mask for mask in masks])
 
 
 @dataclass(frozen=True, eq=False)
@@ -521,16 +532,16 @@ class Scene:
         cameras = [self.cameras[name] for name in names]
         smallest = min(c.height for c in cameras), min(c.width for c in cameras)
         if isinstance(sizes[0], str) and sizes[0] != "original":
-            self._report_smallest(names, *_fit(*smallest, sizes[0]), sizes[0])
+            self._report_smallest(names, *fit_size(*smallest, sizes[0]), sizes[0])
         for name, size in zip(names, sizes, strict=True):
             view = self.read(name).among(photographs)
-            yield view if size == "original" else view.resized(*_fit(*smallest, size))
+            yield view if size == "original" else view.resized(*fit_size(*smallest, size))
 
     def _report_smallest(self, names: Sequence[str], height: int, width: int, size: Size) -> None:
         """Warn if one photograph leaves less than :data:`MIN_SHARE` of the others to be used."""
         sides = np.array([(self.cameras[name].height, self.cameras[name].width) for name in names])
         covered = (np.max((height, width) / sides, 1) ** 2) * sides.prod(1)
-        alone = [math.prod(_fit(h, w, size)) for h, w in sides.tolist()]
+        alone = [math.prod(fit_size(h, w, size)) for h, w in sides.tolist()]
         shares = np.sort(height * width / np.maximum(covered, alone))
         if (share := shares[(len(names) - 1) // 2]) < MIN_SHARE:
             least = int(np.argmin(np.min(sides / np.median(sides, 0), 1)))
@@ -584,8 +595,8 @@ def _check_views(scene: str, views: Sequence[View]) -> None:
         if baseline <= ROUNDING * max(np.abs(view.camera.center).max() for view in (a, b)):
             continue
         has_baseline = True
-        blank = (a.image == a.image[0, 0]).all()
-        if not blank and np.array_equal(a.image, b.image):
+        # A walk has many pairs: what nearly all of them lack is asked first.
+        if np.array_equal(a.image, b.image) and not (a.image == a.image[0, 0]).all():
             raise InputError(
                 f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their "
                 "poses differ; one of the two photographs is the wrong file"
@@ -598,7 +609,7 @@ def _check_views(scene: str, views: Sequence[View]) -> None:
         )
 
 
-def _fit(height: int, width: int, size: Size) -> tuple[int, int]:
+def fit_size(height: int, width: int, size: Size) -> tuple[int, int]:
     """Compute the height and width of resized views, for a size other than "original"."""
     if not isinstance(size, str):
         return size

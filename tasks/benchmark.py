@@ -39,7 +39,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("benchmark", version=14)
+@stage("benchmark", version=15)
 def benchmark(
     run: RunContext,
     sample: ArtifactRef,
@@ -93,7 +93,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     return max(candidates, key=lambda candidate: candidate[:2])[2] if candidates else None
 
 
-@stage("baselines", version=8)
+@stage("baselines", version=9)
 def baselines(
     run: RunContext,
     sample: ArtifactRef,
@@ -133,7 +133,7 @@ def baselines(
     return run.store.put("scene_result", result_to_arrays(result), {"costs": costs})
 
 
-@stage("attribution", version=7)
+@stage("attribution", version=8)
 def attribution(
     run: RunContext,
     sample: ArtifactRef,

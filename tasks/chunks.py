@@ -18,6 +18,7 @@ import pyarrow as pa
 from fsspec.implementations.local import LocalFileSystem
 
 from slgaussian import datasets
+from slgaussian.build import check_cameras
 from slgaussian.datasets import re10k
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.pair_selection import TARGETS, Views, choose
@@ -25,9 +26,11 @@ from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.shards import key_of
 from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError, SpecError
+from slgaussian.formats.resampling import Window
 from slgaussian.io import CHANGED_FILE, KnownFile, file_stamp
 from slgaussian.predict.distance import typical_depths
-from slgaussian.scene import Scene, View
+from slgaussian.predict.view_graph import select_usable
+from slgaussian.scene import Scene, View, fit_size
 from slgaussian.storage.remote import explain_error, file_system_errors
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
@@ -182,17 +185,35 @@ class Room:
 
 
 @stage("packed", version=4)  # increase it also when camera estimation changes
-def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
+def packed(run: RunContext, source: PosedFolder | Room, trust_cameras: bool = False) -> ArtifactRef:
     """Pack the scene of a source as a chunk of one clip: spec ``packed``.
 
     ``meta["cameras"]`` describes the origin of its cameras; ``meta["left_out"]`` lists photographs
-    that could not be read.
+    that could not be read or used. Given cameras are checked as those of a field.
+
+    Raises:
+        InputError: As :func:`slgaussian.build.check_cameras`, and if no photograph can be read.
     """
-    scene = source.scene()
+    scene, shrunk = source.scene(), dict[str, View]()
+
+    def read(name: str) -> View:
+        view = scene.read(name)
+        height, width = view.image.shape[:2]
+        shrunk[name] = view.resized(*fit_size(height, width, "auto"))
+        return view
+
     errors: list[InputError] = []
-    clip = re10k.clip_of(scene, errors.append)
-    unplaced = scene.estimation.get("left_out", {})
-    errors += [InputError(f"{name}: {reason}") for name, reason in unplaced.items()]
+    clip = re10k.clip_of(replace(scene, read=read), errors.append)
+    unused = dict(scene.estimation.get("left_out", {}))
+    if isinstance(source, PosedFolder) and not scene.estimation and len(shrunk) > 1:
+        sample = replace(scene, read=shrunk.__getitem__).sample(list(shrunk))
+        sample, graph, useless = select_usable(sample)
+        check_cameras(sample, graph, trust_cameras)
+        if useless:
+            names = [view.name for view in sample.context]
+            clip = re10k.clip_of(replace(scene, cameras={n: scene.cameras[n] for n in names}))
+            unused |= useless
+    errors += [InputError(f"{name}: {reason}") for name, reason in unused.items()]
     bad = [left_out(source.name, error) for error in errors]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
     meta = {"cameras": describe_cameras(scene.cameras.values()), "left_out": bad}
@@ -229,11 +250,16 @@ def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[InputError]]:
     for frame, (data, numbers) in enumerate(zip(clip.images, clip.cameras, strict=True)):
         try:
             grey, (width, height) = glance(data)
-            camera = re10k.camera_of(numbers, width, height)
+            camera, opaque = re10k.camera_of(numbers, width, height), clip.opaque(frame)
+            shown = grey
+            if opaque is not None:
+                shown = grey[Window.whole(width, height).mask(opaque, *grey.shape)]
+            if not shown.size:
+                raise InputError("it is transparent everywhere")
         except InputError as error:
             errors.append(InputError(f"clip {clip.key!r}, frame {frame}: {error}"))
             continue
-        mean, clipped = exposure(grey)
+        mean, clipped = exposure(shown)
         greys.append(grey)
         cameras.append(camera.resized(*grey.shape[::-1]))
         rows.append(

@@ -13,12 +13,12 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.datasets.shards import pack
-from slgaussian.scene import Sample
+from slgaussian.scene import Sample, opaque_pixels
 from slgaussian.storage.encoding import Arrays, encode_artifact
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, labels_to_arrays, sample_from_arrays
 from tasks.context import RunContext
-from tasks.samples import read_everywhere
+from tasks.samples import read_targets
 from tasks.scene import read_geometry
 from tasks.stage import stage
 
@@ -41,7 +41,8 @@ def example(
 ) -> ArtifactRef:
     """Encode a sample as a part of a tar file: spec ``example``.
 
-    ``meta["about"]`` has ``known`` and measures of quality.
+    ``meta["about"]`` has ``known`` and measures of quality, and ``meta["opaque"]`` the fraction of
+    opaque pixels, if not all are.
 
     Args:
         sample, gaussians, labels, bank: Results of earlier stages; ``labels`` of
@@ -72,9 +73,9 @@ def example(
     labels_of_all = {
         name: np.concatenate([maps[name] for maps in label_maps]) for name in label_maps[0]
     }
-    members = _images(views, images)
+    members, geometry = _images(views, images), _geometry(run, sample, gaussians)
     arrays: dict[str, tuple[str, Arrays]] = {
-        "geometry": ("example_geometry", _geometry(run, sample, gaussians)),
+        "geometry": ("example_geometry", geometry),
         "labels": ("labels", labels_of_all),
         "bank": ("bank", store.get(bank)),
     }
@@ -83,6 +84,8 @@ def example(
     members["about.json"] = json.dumps(description, sort_keys=True, allow_nan=False).encode()
     data = pack(key, members)
     meta = {"about": description, "length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    if "opaque" in geometry:
+        meta["opaque"] = float(geometry["opaque"].mean())
     return store.put("example", {"tar": np.frombuffer(data, np.uint8)}, meta)
 
 
@@ -104,12 +107,15 @@ def _geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> A
     confirmed = np.zeros(geometry.depths.shape, bool)
     for first, second in permutations(range(len(confirmed)), 2):
         confirmed[first] |= geometry.seen_again(first, second)[1]
-    depths = [frame.require_depth() for frame in read_everywhere(run, sample, gaussians)]
+    targets = [frame.require_depth() for frame in read_targets(run, sample, gaussians)]
+    # Only where a view is transparent: the bytes of other samples stay as they were.
+    opaque = opaque_pixels([*views.context, *views.targets])
     return {
+        **({} if opaque is None else {"opaque": opaque}),
         "K": np.stack([camera.K for camera in cameras]),
         "c2w": np.stack([camera.c2w for camera in cameras]),
         "near_far": np.array([[c.near or 0, c.far or 0] for c in cameras], np.float64),
-        "depth": np.stack(depths).astype(np.float32),
+        "depth": np.stack([*geometry.depths, *targets]).astype(np.float32),
         "confirmed": confirmed,
         **({"origin": origin} if origin.any() else {}),
     }

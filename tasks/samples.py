@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import torch
 
+from slgaussian.build import label_views, predict, see_targets
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.component import Component
 from slgaussian.datasets.re10k import Clip
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.io import KnownFile
-from slgaussian.labels import LabelMaps
-from slgaussian.masks.associate import associate
-from slgaussian.rasterize import rasterize
-from slgaussian.scene import Sample
+from slgaussian.scene import Sample, opaque_pixels
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays, sample_from_arrays, sample_to_arrays
 from tasks.chunks import Framing, framed_views, left_out, read_chunk
 from tasks.context import RunContext
-from tasks.scene import geometry, masks
+from tasks.scene import geometry, masks, read_geometry
 from tasks.stage import stage
 
 
@@ -59,9 +56,10 @@ def all_masks(
 
     ``meta["targets"]`` locates the labels of the targets, which have only ids of the context views.
     """
-    frames = read_everywhere(run, sample, gaussians)
-    label_maps = associate(frames, proposer.load(), tracker.load(), replicas, votes)
-    context, targets = _split(label_maps, len(run.read(sample, sample_from_arrays).context))
+    seen = read_geometry(run, sample, gaussians)
+    frames = read_targets(run, sample, gaussians)
+    label_maps = label_views(seen, proposer, tracker, replicas, votes, frames)
+    context, targets = label_maps.split(len(seen.frames))
     target_ref = run.store.put("labels", labels_to_arrays(targets))
     meta = {
         "objects": len(context.ids),
@@ -72,35 +70,12 @@ def all_masks(
     return run.store.put("labels", labels_to_arrays(context), meta)
 
 
-def read_everywhere(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> list[SeenView]:
-    """Read the views of :func:`seen_everywhere` once for all stages."""
+def read_targets(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> list[SeenView]:
+    """Return the targets with rendered depth, :func:`see_targets`, once for all stages."""
     views = run.read(sample, sample_from_arrays)
     predicted = run.read(gaussians, Gaussians.from_arrays)
     key = SeenView, sample.digest, gaussians.digest
-    return run.once(key, lambda: seen_everywhere(views, predicted))
-
-
-def seen_everywhere(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
-    """Return the context views with depth of their Gaussians, and targets with rendered depth."""
-    nothing = torch.zeros(len(gaussians), 1)
-    targets = []
-    for view in sample.targets:
-        # Mean depth would put a surface between foreground and background at edges.
-        depth = rasterize(gaussians, nothing, view.camera, median=True).median
-        local = replace(view, camera=gaussians.localize(view.camera))  # as the context's
-        targets.append(SeenView(local, None if depth is None else depth.numpy()))
-    return [*SceneGeometry.of(sample.context, gaussians).frames, *targets]
-
-
-def _split(label_maps: LabelMaps, count: int) -> tuple[LabelMaps, LabelMaps]:
-    """Split the labels of all views into those of ``count`` context views and of the targets.
-
-    Objects that no context view shows have no code, and are removed from the targets.
-    """
-    labels, margin = label_maps.labels, label_maps.margin
-    in_context = np.isin(labels[count:], np.unique(labels[:count]))
-    targets = np.where(in_context, labels[count:], 0).astype(np.int32)
-    return LabelMaps(labels[:count], margin[:count]), LabelMaps(targets, margin[count:])
+    return run.once(key, lambda: see_targets(views, predicted))
 
 
 # Its version depends on that of the stage for a single scene.
@@ -112,17 +87,19 @@ def predictions(
     framing: Framing,
     predictor: Component,
     seed: int,
+    trust_cameras: bool = False,
 ) -> ArtifactRef:
     """Predict the Gaussians of the samples of a chunk: spec ``predictions``.
 
     ``meta["left_out"]`` lists samples that failed.
     """
-    store, clips, predict = run.store, read_chunk(run, chunk), predictor.load()
+    store, clips, loaded = run.store, read_chunk(run, chunk), predictor.load()
     rows, bad = [], []
     for row in store.get(pairs).to_pylist():
         try:
             sample = read_sample(clips[row["clip"]], row, framing, targets=False)
-            gaussians = predict(sample, seed)
+            graph = MatchGraph.of(sample.context)
+            gaussians = predict(sample, graph, loaded, seed, trust_cameras).gaussians
             gaussians.check()
         except InputError as error:
             bad.append(left_out(row["sample"], error))
@@ -167,7 +144,6 @@ def lessons(
     """
     store, clips = run.store, read_chunk(run, chunk)
     samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
-    propose = proposer.load()
     rows, bad = [], []
     for prediction in store.get(predictions).to_pylist():
         row = samples[prediction["sample"]]
@@ -175,14 +151,17 @@ def lessons(
         gaussians = Gaussians.from_arrays(store.get(ref))
         try:
             sample = read_sample(clips[row["clip"]], row, framing, targets=True)
-            frames = seen_everywhere(sample, gaussians)
-            label_maps = associate(frames, propose, tracker.load(), replicas, votes)
+            seen = SceneGeometry.of(sample.context, gaussians)
+            frames = see_targets(sample, gaussians)
+            label_maps = label_views(seen, proposer, tracker, replicas, votes, frames)
         except InputError as error:
             bad.append(left_out(prediction["sample"], error))
             continue
-        context, targets = _split(label_maps, len(sample.context))
-        cameras = tuple(view.camera for view in sample.targets)
-        lesson = Lesson(sample.scene, gaussians, context.labels, cameras, targets.labels)
+        context, targets = label_maps.split(len(sample.context))
+        cameras, opaque = [view.camera for view in sample.targets], opaque_pixels(sample.targets)
+        lesson = Lesson(
+            sample.scene, gaussians, context.labels, tuple(cameras), targets.labels, opaque
+        )
         ref = store.put("lesson", lesson.to_arrays())
         rows.append(_lesson_row(lesson, ref, row["clip"]))
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)

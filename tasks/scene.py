@@ -276,7 +276,7 @@ def read_geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) 
     return run.once(key, lambda: SceneGeometry.of(views.context, predicted))
 
 
-@stage("masks", version=7)
+@stage("masks", version=8)
 def masks(
     run: RunContext,
     sample: ArtifactRef,
@@ -296,7 +296,7 @@ def masks(
     return run.store.put("labels", labels_to_arrays(label_maps), meta)
 
 
-@stage("supervision", version=7)
+@stage("supervision", version=8)
 def supervision(
     run: RunContext,
     sample: ArtifactRef,
@@ -323,7 +323,7 @@ def supervision(
     return run.store.put("bank", bank.to_arrays(), {"objects": len(bank)})
 
 
-@stage("field", version=10)
+@stage("field", version=11)
 def field(
     run: RunContext,
     sample: ArtifactRef,

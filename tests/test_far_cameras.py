@@ -10,6 +10,7 @@ import pytest
 from plyfile import PlyData, PlyElement
 
 import slgaussian as slg
+from slgaussian.build import see_targets
 from slgaussian.datasets import load, re10k
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.formats.spz import save_spz
@@ -19,7 +20,6 @@ from slgaussian.scene import Camera, Sample, Scene, View, local_origin
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.viewer.page.scene_page import scene_page
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
-from tasks.samples import seen_everywhere
 
 UTM, ECEF = (500_000, 4_100_000, 300), (4_201_000.5, -168_770.25, 4_780_500)
 PLACES = {
@@ -146,7 +146,7 @@ def test_clips_and_samples_keep_far_cameras(place: str, tmp_path) -> None:
 
 def test_lessons_and_views_of_far_samples_are_in_the_frame_of_the_gaussians() -> None:
     gaussians = load_predictor("planesweep")(far("utm"))
-    frames = seen_everywhere(far("utm"), gaussians)
+    frames = see_targets(far("utm"), gaussians)
     assert max(np.abs(frame.view.camera.center).max() for frame in frames) < 10
     labels = np.zeros((2, 120, 160), np.int32)
     cameras = (far("utm").targets[0].camera,)

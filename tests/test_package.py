@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -34,7 +35,7 @@ def test_rasterize_is_the_call_however_often_it_is_looked_up():
     for _ in range(2):
         assert callable(slgaussian.rasterize)
     with pytest.raises(slgaussian.InputError, match="unknown rasterize settings"):
-        slgaussian.rasterize(None, None, None, settings="slow")
+        slgaussian.rasterize(SimpleNamespace(reach=float), None, 1, settings="slow")
 
 
 # What Windows and macOS have not, and no /proc.

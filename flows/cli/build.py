@@ -211,39 +211,35 @@ def masks(
     slgaussian masks a.jpg b.jpg --cameras transforms.json --proposer sam -o ids/
     slgaussian field a.jpg b.jpg --tracker precomputed --set precomputed.folder=ids/ -o field/
     """
-    from flows.cli.photographs import load_photographs
+    from flows.cli.photographs import load_photographs, print_warnings
     from slgaussian.benchmark import pictures
     from slgaussian.benchmark.reports.text_table import table_text
-    from slgaussian.build import predict
+    from slgaussian.build import label_photographs
     from slgaussian.cameras.quality import camera_doubt
+    from slgaussian.components.method import BuildConfig, Method
     from slgaussian.io import atomic_folder
-    from slgaussian.masks.associate import associate
     from slgaussian.masks.precomputed import encode_ids, map_names
-    from slgaussian.predict.view_graph import select_usable
     from slgaussian.storage.field_folder import check_target
 
-    method = make_settings(options.settings_from(ctx), "masks")
+    settings = make_settings(options.settings_from(ctx), "masks")
     check_target(out, MASKS_FILE, "a folder of masks")  # before the work
-    sample, _ = load_photographs(photos, cameras, method)
-    sample, graph, left_out = select_usable(sample)
-    for name, reason in left_out.items():
-        typer.echo(f"warning: {name} is left out: {reason}", err=True)
-    names = map_names([view.name for view in sample.context])
-    components = [method.part(kind) for kind in options.COMPONENTS]
-    proposing, tracking = (component.load() for component in components[1:])
+    sample, _ = load_photographs(photos, cameras, settings)
+    components = [settings.part(kind) for kind in options.COMPONENTS]
+    method = Method(*components, **dict(BuildConfig.of(settings)))
     height, width = sample.context[0].image.shape[:2]
-    views = f"{len(names)} views of {width}x{height}"
+    views = f"{len(sample.context)} views of {width}x{height}"
     typer.echo(f"labelling {views} with {', '.join(c.name for c in components)}", err=True)
     start = time.perf_counter()
-    predicted = predict(sample, graph, components[0], method.seed, method.trust_cameras)
+    with warnings.catch_warnings(record=True) as caught:
+        sample, predicted, maps = label_photographs(sample, method, settings.trust_cameras)
+    print_warnings([str(warning.message) for warning in caught], verbose=True)
     if sample.estimation:
         confidence = predicted.quality.camera_confidence(sample.estimation["confidence"])
         if doubt := camera_doubt({**sample.estimation, "confidence": confidence}):
             typer.echo(f"warning: {doubt}", err=True)
-    maps = associate(predicted.geometry.frames, proposing, tracking, method.replicas, method.votes)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 
-    files, panels = {}, []
+    names, files, panels = map_names([view.name for view in sample.context]), {}, []
     rows = [("view", "file", "objects", "labelled")]
     with atomic_folder(out) as draft:
         for view, ids, areas in zip(sample.context, maps.labels, maps.areas().T, strict=True):

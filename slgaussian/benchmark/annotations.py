@@ -60,10 +60,12 @@ class Truth:
             away, so that they are reported.
         boxes: float64 [n, 4], x0, y0, x1, y1 in pixels, a row per object. Empty if the labels have
             no boxes, which are then computed from the masks.
+        opaque: bool [H, W] of each view with transparent pixels, whose truth is unknown.
     """
 
     masks: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
     boxes: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
+    opaque: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -97,11 +99,14 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
         size = view.camera.width, view.camera.height
         drawn, corners = _read_frame(Path(folder), view.name, view.namesakes, *size, view.shown)
         nothing = np.zeros(view.image.shape[:2], bool)
+        if view.opaque is not None:
+            drawn = {name: mask & view.opaque for name, mask in drawn.items()}
         masks[view.name] = {name: drawn.get(name, nothing) for name in categories}
         if corners is not None:
             none = np.zeros((0, 4))
             boxes[view.name] = {name: corners.get(name, none) for name in categories}
-    return Truth(masks, boxes)
+    opaque = {view.name: view.opaque for view in targets if view.opaque is not None}
+    return Truth(masks, boxes, opaque)
 
 
 def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:

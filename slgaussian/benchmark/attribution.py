@@ -85,10 +85,12 @@ def attribute_errors(
         masks = {q: mask for q, mask in truth.masks.get(target.name, {}).items() if mask.any()}
         if not masks:
             continue
-        objects = ObjectMap(field.render(target.camera).ids, field.bank.ids)
+        ids, opaque = field.render(target.camera).ids, target.opaque
+        objects = ObjectMap(ids if opaque is None else np.where(opaque, ids, 0), field.bank.ids)
         labels, members = context_truth(sample, target, list(masks.values()), depths)
         labels = labels.ravel()[gaussians.source.numpy()]
         drawn = members[elect(gaussians, labels, target.camera)]
+        drawn = drawn if opaque is None else drawn & opaque[..., None]
         for column, (query, mask) in enumerate(masks.items()):
             hit = None
             if understands(field.reader, query):

@@ -116,7 +116,7 @@ def truth_from_instances(sample: Sample) -> Truth:
             mask = view.instances == instance
             if mask.any():
                 masks[phrase] = masks.get(phrase, mask) | mask
-    return Truth(masks=truth)
+    return Truth(truth, opaque={v.name: v.opaque for v in sample.targets if v.opaque is not None})
 
 
 def evaluate(
@@ -155,9 +155,10 @@ def evaluate(
     for target in sample.targets:
         view, seconds = _timed(field.render, target.camera)
         masks, boxes = (of.get(target.name, {}) for of in (truth.masks, truth.boxes))
-        recorder.ask(view, seconds, target.name, target.image, masks, boxes)
-        images = view.rgb, target.image
-        recorder.measure({"psnr": metrics.psnr(*images), "ssim": metrics.ssim(*images)})
+        recorder.ask(view, seconds, target.name, target.image, masks, boxes, opaque=target.opaque)
+        if target.opaque is None or target.opaque.any():
+            images = view.rgb, target.image, target.opaque
+            recorder.measure({"psnr": metrics.psnr(*images), "ssim": metrics.ssim(*images)})
         if view.depth.any() and target.depth is not None:
             errors = metrics.depth_errors(view.depth, target.depth)
             recorder.measure({f"target_{name}": value for name, value in errors.items()})
@@ -260,20 +261,24 @@ class _Recorder:
         masks: Mapping[str, np.ndarray],
         boxes: Mapping[str, np.ndarray],
         has_truth: bool = True,
+        opaque: np.ndarray | None = None,
     ) -> None:
         """Answer, score and draw the queries of a frame, the keys of ``masks``.
 
         ``seconds`` are those of rendering. Without ``has_truth`` no empty mask is noted as absent.
+        Pixels outside ``opaque`` are not scored.
         """
         if not masks:
             return
+        if opaque is not None:
+            masks = {text: mask & opaque for text, mask in masks.items()}
         rules, hits = self.rules, self._timed_query(view, seconds, frame, list(masks))
         queried = Frame(
             [_answer(hits.get(text), mask, f"{frame!r}: {text!r}") for text, mask in masks.items()],
             list(masks.values()),
             [boxes_of(mask, boxes.get(text)) for text, mask in masks.items()],
             self._segment(view, list(hits), masks),
-        )
+        ).within(opaque)
         common = {
             **self.names,
             "place": self.settings.place,

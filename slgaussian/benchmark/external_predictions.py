@@ -241,6 +241,7 @@ def _score_frame(
         of_protocol = answers[protocol.name]
         masks = [answer for answer, _ in of_protocol.values()]
         queried = Frame(masks, list(truths.values()), true_boxes, labels, external=True)
+        queried = queried.within(judged.truth.opaque.get(frame))
         notes = {
             text: {"note": ABSENT if not truths[text].any() else "" if place else NOT_GIVEN}
             for text, (_, place) in of_protocol.items()

@@ -52,14 +52,16 @@ def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
     """Compute the fraction of pixels with all classes correct (3D-OVS, arXiv:2305.14093).
 
     This is scikit-learn's multilabel accuracy: the pixel must belong to exactly one true class, and
-    that class must win. Arguments are those of :func:`class_ious`.
+    that class must win. Arguments are those of :func:`class_ious`; pixels with the label -1 do not
+    count.
     """
     right = np.zeros(labels.shape, bool)
     claims = np.zeros(labels.shape, np.int32)
     for k, truth in enumerate(truths, start=1):
         right |= (labels == k) & truth
         claims += truth
-    return float(np.count_nonzero(right & (claims == 1)) / labels.size)
+    known = int(np.count_nonzero(labels >= 0))
+    return float(np.count_nonzero(right & (claims == 1)) / max(known, 1))
 
 
 def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
@@ -119,14 +121,26 @@ def depth_errors(
     return errors
 
 
-def psnr(image: np.ndarray, reference: np.ndarray) -> float:
-    """Compute the peak signal-to-noise ratio in dB of two uint8 images; infinite if equal."""
+def psnr(image: np.ndarray, reference: np.ndarray, known: np.ndarray | None = None) -> float:
+    """Compute the peak signal-to-noise ratio in dB of two uint8 images; infinite if equal.
+
+    Only pixels in ``known``, bool [H, W], count, if it is given; it must have some.
+    """
+    if known is not None:
+        image, reference = image[known], reference[known]
     error = np.mean((image.astype(np.float64) - reference.astype(np.float64)) ** 2)
     return float(10 * np.log10(255.0**2 / error)) if error else float("inf")
 
 
-def ssim(image: np.ndarray, reference: np.ndarray) -> float:
-    """Compute the structural similarity of two uint8 RGB images (Wang et al. 2004), sigma 1.5."""
-    images = image.astype(np.float64), reference.astype(np.float64)
+def ssim(image: np.ndarray, reference: np.ndarray, known: np.ndarray | None = None) -> float:
+    """Compute the structural similarity of two uint8 RGB images (Wang et al. 2004), sigma 1.5.
+
+    With ``known``, bool [H, W] with some pixels, others are those of ``image`` and not averaged.
+    """
     window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    return float(structural_similarity(*images, data_range=255.0, channel_axis=2, **window))
+    window |= {"data_range": 255.0, "channel_axis": 2}
+    if known is not None:
+        reference = np.where(known[..., None], reference, image)
+    images = image.astype(np.float64), reference.astype(np.float64)
+    mean, full = structural_similarity(*images, full=True, **window)
+    return float(mean if known is None else full[known].mean())

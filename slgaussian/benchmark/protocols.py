@@ -46,7 +46,7 @@ class Frame:
         answers, masks, boxes: For each query: an :class:`Answer`, the true mask bool [H, W], and
             the true boxes float [n, 4] (x0, y0, x1, y1).
         labels: int32 [H, W] or None. ``k + 1`` where query ``k`` wins over all others, 0 where none
-            does; None if unknown.
+            does, -1 where the photograph is transparent; None if unknown.
         external: Whether masks are external: then there are no relevancies, and only some points.
     """
 
@@ -55,6 +55,24 @@ class Frame:
     boxes: Sequence[np.ndarray]
     labels: np.ndarray | None
     external: bool = False
+
+    def within(self, opaque: np.ndarray | None) -> Frame:
+        """Return the frame without answers where ``opaque`` bool [H, W] is false, as is the truth.
+
+        ``labels`` are -1 there. Points stay. None means that all is opaque.
+        """
+        if opaque is None:
+            return self
+        answers = [
+            replace(
+                answer,
+                relevancy=answer.relevancy if self.external else answer.relevancy * opaque,
+                mask=answer.mask & opaque,
+            )
+            for answer in self.answers
+        ]
+        labels = None if self.labels is None else np.where(opaque, self.labels, -1)
+        return replace(self, answers=answers, labels=labels)
 
     @cached_property
     def class_ious(self) -> Sequence[float | None]:

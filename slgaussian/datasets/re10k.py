@@ -4,7 +4,8 @@ A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``
 ``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
 tensors of encoded JPEG bytes. ``index.json`` of a split maps keys to chunks. A row of ``cameras``
 is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV axes; the intrinsics
-are fractions of width and height.
+are fractions of width and height. Where photographs are transparent, an entry has ``masks`` too,
+which other readers ignore: for each image the bytes of a PNG, white where it is opaque, or none.
 
 Chunks are read with PyTorch's restricted unpickler, so an untrusted chunk cannot run code.
 """
@@ -24,7 +25,7 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.datasets.lens import checked_camera
-from slgaussian.datasets.photographs import rgb
+from slgaussian.datasets.photographs import MIN_OPAQUE_ALPHA, rgb
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
 from slgaussian.formats.images import opened
@@ -51,6 +52,7 @@ class Clip:
         origin: float64 [3]. Point of the world to which ``cameras`` are relative, zero unless
             float32 cannot hold them in the world (:func:`slgaussian.scene.local_origin`). It is an
             additional key of the entry, which other programs ignore.
+        masks: tuple of N bytes. Encoded PNGs of the opaque pixels, empty where all are; or empty.
     """
 
     key: str
@@ -59,6 +61,7 @@ class Clip:
     cameras: np.ndarray
     images: tuple[bytes, ...]
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    masks: tuple[bytes, ...] = ()
 
     def view(self, number: int, prefix: str = "") -> View:
         """Decode one frame; InputError, which begins with ``prefix``, if it is damaged."""
@@ -70,7 +73,22 @@ class Clip:
             raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
         height, width = pixels.shape[:2]
         camera = camera_of(self.cameras[number], width, height, label).relative_to(-self.origin)
-        return View(str(number), camera, pixels)
+        return View(str(number), camera, pixels, opaque=self.opaque(number))
+
+    def opaque(self, number: int) -> np.ndarray | None:
+        """Decode the opaque pixels of a frame, bool [H, W]; None if all are.
+
+        InputError if they are damaged.
+        """
+        if not self.masks or not self.masks[number]:
+            return None
+        try:
+            with opened(io.BytesIO(self.masks[number]), ["PNG"]) as image:
+                mask = np.asarray(image.convert("L")) >= MIN_OPAQUE_ALPHA
+        except ValueError as error:
+            label = f"clip {self.key!r}, frame {number}"
+            raise InputError(f"{label}: its mask cannot be decoded ({error})") from None
+        return mask
 
     def scene(self, source: str = "") -> Scene:
         """Return the clip as a scene with views "0" to "N - 1", each decoded when it is read.
@@ -202,7 +220,7 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
                 f"{file}: clip {number}: expected key, url, N images of uint8, N timestamps of "
                 f"int64 and cameras float32 [N, {ROW_LENGTH}] ({error})"
             ) from None
-        left -= sum(map(len, clips[-1].images))
+        left -= sum(map(len, (*clips[-1].images, *clips[-1].masks)))
     return clips
 
 
@@ -213,17 +231,20 @@ def _clip(entry: Any, max_bytes: int) -> Clip:
     fits = isinstance(key, str) and isinstance(url, str) and isinstance(images, list)
     fits = fits and times.shape == (len(images),) and times.dtype.kind == "i"
     fits = fits and cameras.shape == (len(images), ROW_LENGTH) and cameras.dtype.kind == "f"
-    arrays = [_array(image) for image in images]
-    if not fits or any(array.dtype != np.uint8 for array in arrays):
+    arrays, masks = ([_array(data) for data in entry.get(k, ())] for k in ("images", "masks"))
+    fits = fits and len(masks) in (0, len(images))
+    if not fits or any(array.dtype != np.uint8 for array in (*arrays, *masks)):
         raise ValueError("its values have other types or lengths")
-    if sum(array.size for array in arrays) > max_bytes:
+    if sum(array.size for array in (*arrays, *masks)) > max_bytes:
         raise ValueError("it has more bytes of images than the file")
-    encoded_images = tuple(array.tobytes() for array in arrays)
     origin = _array(entry["origin"]) if "origin" in entry else np.zeros(3)
     if origin.shape != (3,) or origin.dtype != np.float64 or not np.isfinite(origin).all():
         raise ValueError(f"its origin is {origin}, not 3 finite float64 numbers")
+    encoded_images, encoded_masks = (
+        tuple(array.tobytes() for array in part) for part in (arrays, masks)
+    )
     rows = cameras.astype(np.float32)
-    return Clip(key, url, times.astype(np.int64), rows, encoded_images, origin)
+    return Clip(key, url, times.astype(np.int64), rows, encoded_images, origin, encoded_masks)
 
 
 def _array(tensor: Any) -> np.ndarray:
@@ -274,7 +295,7 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
     Raises:
         InputError: If a view cannot be read and ``passed_over`` is None, or no view can be read.
     """
-    images, rows = [], []
+    images, masks, rows = [], [], []
     origin = local_origin([camera.center for camera in scene.cameras.values()])
     for name, camera in scene.cameras.items():
         try:
@@ -284,16 +305,20 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
                 raise
             passed_over(error)
             continue
-        buffer = io.BytesIO()
+        buffer, mask = io.BytesIO(), io.BytesIO()
         Image.fromarray(view.image).save(buffer, "JPEG", quality=JPEG_QUALITY, subsampling=0)
+        if view.opaque is not None:
+            Image.fromarray(view.opaque).save(mask, "PNG")
         images.append(buffer.getvalue())
+        masks.append(mask.getvalue())
         rows.append(row_of(camera.relative_to(origin)))
     if not images:
         raise InputError(
             f"scene {scene.name!r}: none of its {len(scene.cameras)} views can be read"
         )
     times = np.arange(len(images)) * FRAME_TIME
-    return Clip(scene.name, "", times, np.stack(rows), tuple(images), origin)
+    encoded_masks = tuple(masks) if any(masks) else ()
+    return Clip(scene.name, "", times, np.stack(rows), tuple(images), origin, encoded_masks)
 
 
 def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:
@@ -340,14 +365,19 @@ def encoded(clips: Sequence[Clip]) -> bytes:
     import torch
 
     buffer = io.BytesIO()
+
+    def tensors(parts: Sequence[bytes]) -> list[torch.Tensor]:
+        return [torch.from_numpy(np.frombuffer(bytearray(part), np.uint8)) for part in parts]
+
     entries = [
         {
             "url": clip.url,
             "timestamps": torch.from_numpy(clip.timestamps),
             "cameras": torch.from_numpy(clip.cameras),
-            "images": [torch.frombuffer(bytearray(i), dtype=torch.uint8) for i in clip.images],
+            "images": tensors(clip.images),
             "key": clip.key,
             **({"origin": torch.from_numpy(clip.origin)} if clip.origin.any() else {}),
+            **({"masks": tensors(clip.masks)} if clip.masks else {}),
         }
         for clip in clips
     ]

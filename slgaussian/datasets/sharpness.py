@@ -71,7 +71,7 @@ def blur(grey: np.ndarray) -> float:
 
 
 def exposure(grey: np.ndarray) -> tuple[float, float]:
-    """Return the mean of an image uint8 [h, w], 0 to 1, and the fraction of clipped pixels."""
+    """Return the mean of pixels uint8 [...], 0 to 1, and the fraction of clipped pixels."""
     clipped = (grey <= CLIPPED_GREYS) | (grey >= 255 - CLIPPED_GREYS)
     return float(grey.mean() / 255), float(clipped.mean())
 

@@ -55,7 +55,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
     - ``context`` and ``target``: dicts of ``image`` uint8 [V, 3, H, W]; ``K`` float32 [V, 3, 3] in
       pixels, ``c2w`` float32 [V, 4, 4] with OpenCV axes; ``near_far`` float32 [V, 2], 0 where
       unknown; ``depth`` float32 [V, H, W] along z, 0 where unknown; ``labels`` int64 [V, H, W], 0
-      for no object; ``margin`` float32 [V, H, W], the vote margin of the label; and for the context
+      for no object; ``margin`` float32 [V, H, W], the vote margin of the label; ``opaque`` bool
+      [V, H, W], false where the photograph is transparent and so shows nothing; and for the context
       ``confirmed`` bool [V, H, W], where another view has the same depth
     - ``objects``: ``ids`` int64 [N], ``codes`` float32 [N, D], ``features`` float32 [N, C, F] and
       ``present`` bool [N, C]
@@ -129,6 +130,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
         views = {name: torch.from_numpy(geometry[name].astype(np.float32)) for name in numbers}
         views["labels"] = torch.from_numpy(labels["labels"].astype(np.int64))
         views["margin"] = torch.from_numpy(labels["margin"])
+        opaque = geometry.get("opaque", np.ones(labels["labels"].shape, bool))
+        views["opaque"] = torch.from_numpy(opaque)
         item: dict[str, Any] = {name: row[name] for name in ("sample", "clip", "place")}
         contexts = len(images["context"])
         for role, part in (("context", slice(contexts)), ("target", slice(contexts, None))):

@@ -34,13 +34,19 @@ class SeenView:
 
     Attributes:
         view: Its ground truth must not be read.
-        depth: float32 [H, W] or None. Predicted z-depth in scene units, 0 where unknown.
+        depth: float32 [H, W] or None. Predicted z-depth in scene units, 0 where unknown, as where
+            the photograph is transparent.
     """
 
     view: View
     depth: np.ndarray | None = None
 
     __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        opaque = self.view.opaque
+        if self.depth is not None and opaque is not None:
+            object.__setattr__(self, "depth", np.where(opaque, self.depth, np.float32(0)))
 
     def require_depth(self) -> np.ndarray:
         """Return the depth; InputError if there is none."""

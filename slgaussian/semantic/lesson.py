@@ -38,6 +38,8 @@ class Lesson:
             have an origin, both are made relative to it, and the origin is dropped.
         targets: int32 [T, H, W]. Object ids of the target views, consistent with ``labels``; 0
             unassigned.
+        opaque: bool [T, H, W] or None. False where the photograph of a target is transparent:
+            nothing is known of it there. None where all is opaque.
 
     Raises:
         InputError: If an attribute is invalid; the message names the sample.
@@ -48,6 +50,7 @@ class Lesson:
     labels: np.ndarray
     cameras: tuple[Camera, ...]
     targets: np.ndarray
+    opaque: np.ndarray | None = None
 
     __repr__ = short_repr
 
@@ -90,6 +93,7 @@ class Lesson:
             **{name: geometry[name] for name in GEOMETRY},
             "labels": self.labels,
             "targets": self.targets,
+            **({} if self.opaque is None else {"opaque": self.opaque}),
             "K": np.stack([camera.K for camera in self.cameras]),
             "c2w": np.stack([camera.c2w for camera in self.cameras]),
             "near_far": np.array([[c.near or 0, c.far or 0] for c in self.cameras], np.float64),
@@ -107,4 +111,5 @@ class Lesson:
             for K, c2w, (near, far) in views
         )
         name, labels = str(arrays["sample"]), arrays["labels"]
-        return Lesson(name, gaussians, labels, cameras, arrays["targets"])
+        targets, opaque = arrays["targets"], arrays.get("opaque")
+        return Lesson(name, gaussians, labels, cameras, targets, opaque)

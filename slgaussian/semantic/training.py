@@ -205,6 +205,7 @@ def loss_of(
     """Compute the mean squared error over all pixels of the chosen target views of a lesson.
 
     Rendered codes are compared with those of the targets, (0, 0, 0) where they have no object.
+    Transparent pixels have no error.
 
     Args:
         views: Indices of the target views.
@@ -226,7 +227,10 @@ def loss_of(
     targets = input_images(lesson.targets[list(views)], maps.ids, drawn)
     cameras = [lesson.cameras[view] for view in views]
     rendered = [rasterize(lesson.gaussians, features, camera).values for camera in cameras]
-    return F.mse_loss(torch.stack(rendered), targets)
+    drawn_views = torch.stack(rendered)
+    if lesson.opaque is not None:  # the codes of transparent pixels are 0
+        drawn_views = drawn_views * torch.from_numpy(lesson.opaque[list(views), ..., None])
+    return F.mse_loss(drawn_views, targets)
 
 
 def _step(

@@ -265,3 +265,33 @@ def test_hard_truths_are_scored_without_nan(room):
     assert row_of(result, "red qqwx")["note"] == f"unknown: qqwx; {ABSENT}"
     # Two masks overlap in a pixel, which then is no single class; nothing else can be right.
     assert row_of(result, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size
+
+
+def test_what_a_transparent_target_shows_by_accident_changes_no_score(room):
+    """Colours, labels and depth behind the mask are of a thing that nobody photographed."""
+    (target,), truth = room.sample.targets, room.truth["view_01"]
+    opaque = np.ones(target.image.shape[:2], bool)
+    opaque[:, :60] = False
+    results = []
+    for grey in (0, 255):
+        image = np.where(opaque[..., None], target.image, np.uint8(grey))
+        depth = np.where(opaque, target.depth, np.float32(grey + 1))
+        view = replace(target, image=image, depth=depth, opaque=opaque)
+        masks = {text: mask | (~opaque & (grey > 0)) for text, mask in truth.items()}
+        sample, settings = replace(room.sample, targets=(view,)), EvaluationSettings(drawn=False)
+        inputs = sample, room.label_maps, Truth({"view_01": masks}), settings
+        results.append(evaluate(room.field, *inputs))
+    first, second = results
+    assert first.rows == second.rows and first.scene_metrics == second.scene_metrics
+    render = room.field.render(target.camera)
+    for query, mask in truth.items():
+        if (mask & opaque).any():
+            predicted = render.query(query).mask[:, 60:]
+            assert row_of(first, query)["iou"] == metrics.iou(predicted, mask[:, 60:])
+    seen = render.rgb[:, 60:], target.image[:, 60:]
+    assert first.scene_metrics["psnr"] == pytest.approx(metrics.psnr(*seen))
+    assert first.scene_metrics["ssim"] == pytest.approx(metrics.ssim(*seen), abs=0.02)
+    winners = render.segment(sorted(truth), threshold=0.0)[:, 60:]
+    masks = [truth[text][:, 60:] for text in sorted(truth)]
+    accuracy = {row["accuracy"] for row in rows_of(first, "3d-ovs") if row["iou"] is not None}
+    assert accuracy <= {metrics.exact_accuracy(winners, masks)}

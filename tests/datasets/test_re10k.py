@@ -69,6 +69,32 @@ def test_added_clips_make_new_chunks_and_equal_clips_equal_bytes(rooms, split, t
     assert re10k.chunk_names(tmp_path) == ["000000.torch", "000001.torch"]
 
 
+def test_the_transparent_pixels_of_a_frame_come_back_and_add_nothing_to_other_clips(rooms):
+    opaque = np.random.default_rng(0).random((36, 64)) < 0.5
+    hidden = {"view_00": opaque, "view_01": None, "view_02": np.zeros_like(opaque)}
+
+    def read(name):
+        return replace(rooms[0].read(name), opaque=hidden[name])
+
+    clip = re10k.clip_of(replace(rooms[0], read=read))
+    data = re10k.encoded([clip])
+    (entry,) = torch.load(io.BytesIO(data), weights_only=True)
+    assert [len(mask) > 0 for mask in entry["masks"]] == [True, False, True]
+    (again,) = re10k.clips_in(data, "chunk")
+    for number, expected in enumerate(hidden.values()):
+        seen = again.view(number).opaque
+        assert seen is None if expected is None else np.array_equal(seen, expected)
+    plain = re10k.clip_of(rooms[0])
+    assert replace(again, masks=()).images == plain.images and plain.masks == ()
+    for masks in (entry["masks"][:2], [torch.zeros(9)] * 3):
+        file = io.BytesIO()
+        torch.save([{**entry, "masks": masks}], file)
+        with pytest.raises(InputError, match="its values have other types or lengths"):
+            re10k.clips_in(file.getvalue(), "chunk")
+    with pytest.raises(InputError, match="frame 0: its mask cannot be decoded"):
+        replace(again, masks=(b"x",) * 3).view(0)
+
+
 @settings(max_examples=30, deadline=None)
 @given(
     st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),

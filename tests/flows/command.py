@@ -78,7 +78,8 @@ def write_photographs(folder: Path, views: dict[str, View]) -> Path:
     frames = []
     for name, view in views.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(view.image).save(folder / name)
+        alpha = [] if view.opaque is None else [np.where(view.opaque, 255, 0).astype(np.uint8)]
+        Image.fromarray(np.dstack([view.image, *alpha])).save(folder / name)
         camera = view.camera
         (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
         pose = (camera.c2w * [1, -1, -1, 1]).tolist()

@@ -28,6 +28,7 @@ from slgaussian.semantic.branch import (
     save_branch,
 )
 from slgaussian.semantic.hard import HardIndex, fill_from_other_views
+from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.training import loss_of
 
 # Not imported: an error in the module must show here.
@@ -122,6 +123,14 @@ def test_loss_is_the_mean_squared_error_over_all_pixels():
         values = rasterize(example.gaussians, features, camera).values[..., :3].numpy()
         errors.append(values - expected)
     assert float(loss.detach()) == pytest.approx(np.mean(np.square(errors)), rel=1e-5)
+    # What is rendered where the photograph of a target is transparent is no error.
+    opaque = targets > 0
+    partly = replace(example, opaque=opaque)
+    loss = loss_of(branch, partly, [0, 1], "grid", np.random.default_rng(2))
+    known = np.mean(np.square(errors) * opaque[..., None])
+    assert known < np.mean(np.square(errors))
+    assert float(loss.detach()) == pytest.approx(known, rel=1e-5)
+    assert np.array_equal(Lesson.from_arrays(partly.to_arrays()).opaque, opaque)
 
 
 def test_weights_depend_on_the_seed_alone_and_the_global_generator_is_unused():

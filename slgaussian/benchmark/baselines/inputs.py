@@ -21,7 +21,7 @@ from slgaussian.language.reader import TextReader
 from slgaussian.masks import MaskProposer
 from slgaussian.masks.flatten import flatten, without_crumbs
 from slgaussian.masks.levels import group_objects
-from slgaussian.scene import Sample
+from slgaussian.scene import Sample, opaque_pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,8 @@ class Inputs:
             ids = without_crumbs(flatten(self.proposer.propose(view)))
             maps.append(np.where(ids > 0, ids + count, 0).astype(np.int32))
             count += int(ids.max(initial=0))
-        labels = np.stack(maps)
+        labels, opaque = np.stack(maps), opaque_pixels(self.sample.context)
+        labels = labels if opaque is None else np.where(opaque, labels, 0)
         return LabelMaps(labels, np.ones(labels.shape, np.float32))
 
     @cached_property
