@@ -11,8 +11,8 @@ Image coordinates here are pixels from the principal point.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -37,6 +37,12 @@ FOCAL_STARTS = np.array(
 )
 """Initial focal lengths of two lenses, in standard deviations from the prior mean."""
 
+LEAST_STRETCH = 0.1
+"""Smallest magnification along the radius of a distortion that is modelled."""
+
+BEND_STARTS = (0.0, -1.0, -2.0, 1.0)
+"""Initial distortions, in standard deviations."""
+
 RANSAC_OPTIONS = {
     "max_epipolar_error": 1.0, "success_prob": 0.999, "max_iterations": 1000,
     "min_iterations": 100, "seed": 0,
@@ -56,33 +62,44 @@ MAX_MATCHES = 1200
 
 @dataclass(frozen=True, eq=False)
 class FocalPrior:
-    """Prior of two focal lengths.
+    """Prior of two lenses: focal lengths, and distortion around 0.
 
     Attributes:
         mean: float64 [2]. Logarithms of focal lengths in pixels.
         sigma: float64 [2]. Standard deviations of these; 0 for a given focal length.
         shared: Whether both views have one lens: the difference of the logarithms is then constant.
+        bend: float64 [2]. Standard deviations of :attr:`TwoViews.bends`; 0 without distortion.
     """
 
     mean: np.ndarray
     sigma: np.ndarray
     shared: bool
+    bend: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     @property
     def directions(self) -> np.ndarray:
         """Return the free directions of the two logarithms, in deviations: float64 [F, 2]."""
+        return self._free(self.sigma)
+
+    @property
+    def bend_directions(self) -> np.ndarray:
+        """Return the free directions of the two distortions, in deviations: float64 [B, 2]."""
+        return self._free(self.bend)
+
+    def _free(self, sigma: np.ndarray) -> np.ndarray:
         if self.shared:
-            return np.full((int(self.sigma.max() > 0), 2), self.sigma.min())
-        return np.diag(self.sigma)[self.sigma > 0]
+            return np.full((int(sigma.max() > 0), 2), sigma.min())
+        return np.diag(sigma)[sigma > 0]
 
 
 @dataclass(frozen=True, eq=False)
 class TwoViews:
     """Two cameras: ``X_b = R @ X_a + t``, t of length 1, focal lengths in pixels.
 
-    ``moves`` are the offsets of the focal lengths from the prior mean in standard deviations,
-    ``cost`` is the negative log posterior, ``scale`` the scale of the loss in pixels, and
-    ``covariance`` [5 + F, 5 + F] that of rotation (radians), direction of t (radians) and moves.
+    ``moves`` are the offsets of the focal lengths, then of the distortions, from the prior mean in
+    standard deviations, ``cost`` is the negative log posterior, ``scale`` the scale of the loss in
+    pixels, and ``covariance`` [5 + F + B, 5 + F + B] that of rotation (radians), direction of t
+    (radians) and moves. ``bends`` are the distortions, see :func:`straighten`.
     """
 
     R: np.ndarray
@@ -92,11 +109,13 @@ class TwoViews:
     cost: float = np.inf
     scale: float = INITIAL_SCALE
     covariance: np.ndarray | None = None
+    bends: tuple[float, float] = (0.0, 0.0)
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Compute signed Sampson distances [M] in pixels of matches [M, 2] and [M, 2]."""
+        (x, in_x), (y, in_y) = (straighten(*lens) for lens in zip((x, y), self.bends, strict=True))
         numerator, a, b = _sampson(self.fundamental(), x, y)
-        return numerator / np.sqrt((a**2).sum(1) + (b**2).sum(1))
+        return numerator / np.sqrt((in_y(a) ** 2).sum(1) + (in_x(b) ** 2).sum(1))
 
     def fundamental(self) -> np.ndarray:
         """Return F [3, 3] with ``(y, 1) @ F @ (x, 1) = 0``."""
@@ -119,6 +138,7 @@ class TwoViews:
 
     def rays(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return lines of sight [M, 3] and [M, 3] of matches in the axes of the second camera."""
+        x, y = (straighten(*lens)[0] for lens in zip((x, y), self.bends, strict=True))
         return _homogeneous(x / self.focals[0]) @ self.R.T, _homogeneous(y / self.focals[1])
 
     def depths(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -139,17 +159,65 @@ class TwoViews:
         return (np.abs(self.distance(x, y)) < within) & (self.depths(x, y) > 0).all(0)
 
     def moved(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
-        """Apply a step: rotation ``step[:3]``, direction of t ``step[3:5]``, focal lengths rest."""
+        """Apply a step: rotation ``step[:3]``, direction of t ``step[3:5]``, lenses rest."""
         t = self.t + step[3:5] @ _across(self.t)
         moves = self.moves + step[5:]
-        focals = np.exp(prior.mean + moves @ prior.directions)
+        focals, bends = lenses(moves, prior)
         R = cv2.Rodrigues(step[:3])[0] @ self.R
-        return replace(self, R=R, t=t / np.linalg.norm(t), focals=focals, moves=moves)
+        return replace(self, R=R, t=t / np.linalg.norm(t), focals=focals, moves=moves, bends=bends)
+
+    def deviations(self, prior: FocalPrior) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard deviations of log focal lengths [2] and of distortions [2]."""
+        assert self.covariance is not None
+        free, bent = prior.directions, prior.bend_directions
+        split = 5 + len(free)
+        focals, bends = self.covariance[5:split, 5:split], self.covariance[split:, split:]
+        variances = (free.T @ focals @ free).diagonal(), (bent.T @ bends @ bent).diagonal()
+        return np.sqrt(variances[0]), np.sqrt(variances[1])
 
     def turned_from(self, reference: TwoViews) -> float:
         """Compute the larger of the angles between rotations and between directions, degrees."""
         cosines = (np.trace(self.R @ reference.R.T) - 1) / 2, self.t @ reference.t
         return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).max())
+
+
+def lenses(moves: np.ndarray, prior: FocalPrior) -> tuple[np.ndarray, tuple[float, float]]:
+    """Return focal lengths [2], pixels, and distortions by their moves [F + B]."""
+    free = prior.directions
+    focals = np.exp(prior.mean + moves[: len(free)] @ free)
+    first, second = (moves[len(free) :] @ prior.bend_directions).tolist()
+    return focals, (first, second)
+
+
+def straighten(
+    points: np.ndarray, bend: float
+) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Undistort points [M, 2], pixels from the principal point.
+
+    A point at the radius u of the undistorted photograph is seen at ``u (1 + bend u^2)``: Brown's
+    model with k1 = bend f^2.
+
+    Returns:
+        float64 [M, 2]: Undistorted points. A radius that no point reaches gives that of the fold.
+        callable: Changes gradients [..., M, 2] by undistorted into those by observed points.
+    """
+    if not bend:
+        return points, lambda gradients: gradients
+    seen = np.sqrt((points**2).sum(1)) + 1e-12
+    fold = np.sqrt((1 - LEAST_STRETCH) / max(-3 * bend, 1e-30))
+    radius = np.minimum(seen, fold)
+    for _ in range(8):
+        miss = radius * (1 + bend * radius**2) - seen
+        radius = np.clip(radius - miss / (1 + 3 * bend * radius**2), 0, fold)
+    along = points / seen[:, None]
+    across = seen / radius
+    radial = np.where(radius < fold, 1 + 3 * bend * radius**2, 1)
+
+    def observe(gradients: np.ndarray) -> np.ndarray:
+        inward = (gradients * along).sum(-1, keepdims=True) * along
+        return gradients / across[:, None] + inward * (1 / radial - 1 / across)[:, None]
+
+    return points * (radius / seen)[:, None], observe
 
 
 def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
@@ -196,35 +264,77 @@ def posterior(views: TwoViews, x: np.ndarray, y: np.ndarray, scale: float) -> fl
     return float(loss / CORRELATED_MATCHES + 0.5 * (views.moves**2).sum())
 
 
+def evidence(views: TwoViews, x: np.ndarray, y: np.ndarray, scale: float) -> float:
+    """Compute the log evidence of the assumptions on the lenses: the posterior integrated near its
+    optimum, by Laplace's approximation, up to a constant."""
+    assert views.covariance is not None
+    x, y = x[:MAX_MATCHES], y[:MAX_MATCHES]
+    return float(np.linalg.slogdet(views.covariance)[1] / 2) - posterior(views, x, y, scale)
+
+
+def refine(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews | None:
+    """Optimise a solution under another prior; None if too few inliers remain."""
+    x, y = x[:MAX_MATCHES], y[:MAX_MATCHES]
+    end = _optimise(_under(views, prior), x, y, prior, 3)
+    return None if end is None else _with_covariance(end, x, y, prior)
+
+
+def widen(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
+    """Return a solution with its covariance under another prior, such as an unknown distortion."""
+    views = _under(views, prior)
+    return _with_covariance(views, x[:MAX_MATCHES], y[:MAX_MATCHES], prior)
+
+
+def _under(views: TwoViews, prior: FocalPrior) -> TwoViews:
+    """Express the lenses of a solution by the moves of another prior, as far as it permits."""
+    moves = [
+        np.linalg.lstsq(free.T, offset, rcond=None)[0]
+        for free, offset in (
+            (prior.directions, np.log(views.focals) - prior.mean),
+            (prior.bend_directions, np.array(views.bends)),
+        )
+    ]
+    return replace(views, moves=np.concatenate(moves)).moved(
+        np.zeros(5 + sum(map(len, moves))), prior
+    )
+
+
 def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoViews]:
     """Yield initial poses from the more reliable half of the matches [M, 2] and [M, 2]."""
-    directions = prior.directions
-    x, y = (np.ascontiguousarray(points[: MAX_MATCHES // 2]) for points in (x, y))
-    for moves in FOCAL_STARTS if len(directions) == 2 else np.zeros((1, len(directions))):
-        focals = np.exp(prior.mean + moves @ directions)
-        lenses = [{"model": "SIMPLE_PINHOLE", "params": [f, 0, 0]} for f in focals]
-        pose, _ = poselib.estimate_relative_pose(x, y, *lenses, RANSAC_OPTIONS)
-        yield from _two_views(pose, focals, moves)
-    if len(directions) == 1:
-        estimates, _ = poselib.estimate_shared_focal_relative_pose(
-            x, y, np.zeros(2), RANSAC_OPTIONS
-        )
-        log_focal = np.log(max(estimates.camera1.params[0], 1.0))
-        moves = np.clip(
-            (log_focal - prior.mean[:1]) / directions[:, 0],
-            -MAX_FOCAL_DEVIATION,
-            MAX_FOCAL_DEVIATION,
-        )
-        yield from _two_views(estimates.pose, np.exp(prior.mean + moves @ directions), moves)
+    directions, count = prior.directions, len(prior.bend_directions)
+    observed = [np.ascontiguousarray(points[: MAX_MATCHES // 2]) for points in (x, y)]
+    for bend in BEND_STARTS if count else (0.0,):
+        bent = np.full(count, bend)
+        _, bends = lenses(np.concatenate([np.zeros(len(directions)), bent]), prior)
+        x, y = (straighten(*lens)[0] for lens in zip(observed, bends, strict=True))
+        for focal in FOCAL_STARTS if len(directions) == 2 else np.zeros((1, len(directions))):
+            moves = np.concatenate([focal, bent])
+            models = [
+                {"model": "SIMPLE_PINHOLE", "params": [f, 0, 0]} for f in lenses(moves, prior)[0]
+            ]
+            pose, _ = poselib.estimate_relative_pose(x, y, *models, RANSAC_OPTIONS)
+            yield from _two_views(pose, moves, prior)
+        if len(directions) == 1:
+            estimates, _ = poselib.estimate_shared_focal_relative_pose(
+                x, y, np.zeros(2), RANSAC_OPTIONS
+            )
+            log_focal = np.log(max(estimates.camera1.params[0], 1.0))
+            focal = np.clip(
+                (log_focal - prior.mean[:1]) / directions[:, 0],
+                -MAX_FOCAL_DEVIATION,
+                MAX_FOCAL_DEVIATION,
+            )
+            yield from _two_views(estimates.pose, np.concatenate([focal, bent]), prior)
 
 
 def _two_views(
-    pose: poselib.CameraPose, focals: np.ndarray, moves: np.ndarray
+    pose: poselib.CameraPose, moves: np.ndarray, prior: FocalPrior
 ) -> Iterator[TwoViews]:
     """Yield a pose of PoseLib, unless its translation is zero: PoseLib found no model."""
     length = np.linalg.norm(pose.t)
     if length > 0:
-        yield TwoViews(np.array(pose.R), np.array(pose.t) / length, focals, moves)
+        focals, bends = lenses(moves, prior)
+        yield TwoViews(np.array(pose.R), np.array(pose.t) / length, focals, moves, bends=bends)
 
 
 def _optimise(
@@ -286,13 +396,26 @@ def _normal(
 def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> np.ndarray:
     """Return derivatives [M, 5 + F] of :meth:`TwoViews.distance` by the steps of
     :meth:`TwoViews.moved`."""
-    numerator, a, b = _sampson(views.fundamental(), x, y)
-    square = (a**2).sum(1) + (b**2).sum(1)
+    columns = [
+        (_bend(views, step).distance(x, y) - _bend(views, -step).distance(x, y)) / 0.02
+        for step in 0.01 * prior.bend_directions
+    ]
+    (x, in_x), (y, in_y) = (straighten(*lens) for lens in zip((x, y), views.bends, strict=True))
+    numerator, to_y, to_x = _sampson(views.fundamental(), x, y)
+    to_y, to_x = in_y(to_y), in_x(to_x)
+    square = (to_y**2).sum(1) + (to_x**2).sum(1)
     slopes, at_x, at_y = views.fundamental_slopes(prior), _homogeneous(x), _homogeneous(y)
     slopes_b = at_x @ slopes.transpose(0, 2, 1)
     slopes_a = at_y @ slopes[:, :, :2]
-    slope = (a * slopes_b[..., :2]).sum(2) + (b * slopes_a).sum(2)
-    return (((at_y * slopes_b).sum(2) - numerator * slope / square) / np.sqrt(square)).T
+    slope = (to_y * in_y(slopes_b[..., :2])).sum(2) + (to_x * in_x(slopes_a)).sum(2)
+    of_pose = ((at_y * slopes_b).sum(2) - numerator * slope / square) / np.sqrt(square)
+    return np.concatenate([of_pose, columns]).T if columns else of_pose.T
+
+
+def _bend(views: TwoViews, step: np.ndarray) -> TwoViews:
+    """Add a step [2] to the distortions."""
+    first, second = (views.bends + step).tolist()
+    return replace(views, bends=(first, second))
 
 
 def _with_covariance(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:

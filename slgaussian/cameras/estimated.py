@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
+from slgaussian.datasets.lens import Maps, lens_maps
 from slgaussian.io import short_repr
 from slgaussian.scene import Camera
 
@@ -73,6 +75,8 @@ class EstimatedCameras:
         warnings: tuple of str. Warnings for the user, a sentence each.
         left_out: mapping str -> str. Reason, a clause, for each photograph whose camera could not
             be estimated.
+        distortions: mapping str -> float. Brown's k1 of photographs whose distortion was estimated;
+            the cameras are those of the undistorted photographs.
     """
 
     cameras: Mapping[str, Camera]
@@ -82,8 +86,17 @@ class EstimatedCameras:
     doubt: str = ""
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
+    distortions: Mapping[str, float] = field(default_factory=dict)
 
     __repr__ = short_repr
+
+    def lenses(self) -> dict[str, Callable[[], Maps]]:
+        """Return functions that compute the undistortion maps of distorted photographs."""
+        return {
+            name: partial(lens_maps, camera.K, (camera.width, camera.height), (k1,))
+            for name, k1 in self.distortions.items()
+            for camera in [self.cameras[name]]
+        }
 
     def as_json(self) -> dict[str, Any]:
         """Return the estimation record as JSON-compatible data, for files."""
@@ -96,6 +109,7 @@ class EstimatedCameras:
             ],
             "warnings": list(self.warnings),
             "left_out": dict(self.left_out),
+            **({"distortions": dict(self.distortions)} if self.distortions else {}),
         }
 
     def summary(self) -> str:

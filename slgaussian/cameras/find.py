@@ -14,8 +14,9 @@ from slgaussian.cameras import two_view
 from slgaussian.cameras.epipolar import CORRELATED_MATCHES
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.cameras.incremental import Placed, Tie, place
+from slgaussian.cameras.lens_errors import SUSPECT_WRONG, LensEvidence, combine, interval
 from slgaussian.cameras.matches import match
-from slgaussian.cameras.two_view import Described, PairPose, Photograph, confidence
+from slgaussian.cameras.two_view import EXIF_FOCAL_STD, Described, PairPose, Photograph, confidence
 from slgaussian.errors import InputError, listed
 from slgaussian.scene import Camera, Estimated
 
@@ -111,31 +112,32 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
             left |= gap.left_out
     left = {p.name: left[p.name] for p in photographs if p.name in left}
     warnings = tuple(f"{name} is left out: {why}" for name, why in left.items())
-    return replace(estimated, warnings=warnings, left_out=left)
+    return replace(estimated, warnings=(*warnings, *estimated.warnings), left_out=left)
 
 
 def _find_two(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
     a, b = described
     first, second = sorted(described, key=lambda item: item.digest)
-    pose = solve(first, second)
+    reverse = first is not a
+    (first, second), poses = settle_lenses([first, second], [(0, 1)], solve)
+    pose = poses[0, 1]
     views = pose.views
     if pose.estimate.verdict == UNUSED or views is None or views.covariance is None:
         raise InputError(
             f"{a.photograph.name!r} and {b.photograph.name!r}: no cameras can be found: "
             f"{pose.estimate.said}; {pose.advice}"
         )
-    R, t, focals = views.R, views.t, views.focals
-    moves = np.sqrt(np.diag(views.covariance)[5:])
-    deviations = np.array([first.focal[1], second.focal[1]]) * (moves if len(moves) else 0)
-    if first is not a:
+    R, t, focals, deviations = views.R, views.t, views.focals, pose.deviations
+    described = [first, second]
+    if reverse:
         R, t = R.T, -R.T @ t
-        focals, deviations = focals[::-1], deviations[::-1]
+        focals, deviations, described = focals[::-1], deviations[::-1], [second, first]
     pair = replace(pose.estimate, views=(a.photograph.name, b.photograph.name))
     doubtful = pair.verdict == DOUBTFUL
     probability = confidence(pose) * (DOUBTFUL_PAIR_FACTOR if doubtful else 1)
     doubt = pair.said if doubtful else ""
-    poses = np.stack([np.eye(3), R]), np.stack([np.zeros(3), t])
-    return _estimated_cameras(described, *poses, focals, deviations, (pair,), probability, doubt)
+    placed = np.stack([np.eye(3), R]), np.stack([np.zeros(3), t])
+    return _estimated_cameras(described, *placed, focals, deviations, (pair,), probability, doubt)
 
 
 def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
@@ -150,7 +152,8 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
     """
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     ordered = [described[k] for k in order]
-    poses = {(i, j): solve(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
+    ordered, poses = settle_lenses(ordered, worth_solving(ordered), solve)
+    described = [ordered[rank] for rank in np.argsort(order)]
     priors: dict[object, tuple[float, float]] = {}
     for item in ordered:
         priors.setdefault(item.lens, item.focal)
@@ -195,6 +198,36 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
         probability,
         doubt,
     )
+
+
+def settle_lenses(
+    described: Sequence[Described], pairs: Sequence[tuple[int, int]], solve: Solve
+) -> tuple[list[Described], dict[tuple[int, int], PairPose]]:
+    """Solve pairs, and again if they contradict EXIF or show that lenses are distorted.
+
+    Returns:
+        The photographs with what all pairs say about their lenses, and the poses of pairs.
+    """
+    poses = {(i, j): solve(described[i], described[j]) for i, j in pairs}
+    said: dict[object, list[LensEvidence]] = {item.lens: [] for item in described}
+    for views, pose in poses.items():
+        for lens, evidence in {
+            described[view].lens: each for view, each in zip(views, pose.lenses or (), strict=False)
+        }.items():
+            said[lens].append(evidence)
+    by_lens = {lens: combine(evidence) for lens, evidence in said.items() if evidence}
+    settled = [
+        item.settle(by_lens[item.lens]) if item.lens in by_lens else item for item in described
+    ]
+    if any(
+        after.focal != before.focal or (after.settled and after.settled.bend[0])
+        for before, after in zip(described, settled, strict=True)
+    ):
+        poses = {
+            (i, j): replace(solve(settled[i], settled[j]), rivals=pose.rivals)
+            for (i, j), pose in poses.items()
+        }
+    return settled, poses
 
 
 def worth_solving(described: Sequence[Described]) -> list[tuple[int, int]]:
@@ -330,7 +363,7 @@ def _estimated_cameras(
     cameras, by_name = {}, {}
     for k, item in enumerate(described):
         photograph = item.photograph
-        focal = focal_of(focals[k] / item.shrunk, float(deviations[k]), photograph)
+        focal = focal_of(focals[k] / item.shrunk, float(deviations[k]), item)
         f, width, height = focal.pixels, photograph.width, photograph.height
         c2w = np.eye(4)
         c2w[:3, :3], c2w[:3, 3] = R[k].T, -R[k].T @ t[k]
@@ -339,16 +372,58 @@ def _estimated_cameras(
             np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]]), c2w, width, height,
             estimated=Estimated((focal.low / f, focal.high / f), focal.source, probability),
         )  # fmt: skip
-    return EstimatedCameras(cameras, by_name, pairs, probability, doubt)
+    notes = _lens_warnings(described, by_name)
+    bends = {item.photograph.name: item.bend for item in described}
+    distortions = {
+        name: bend * (by_name[name].pixels / max(cameras[name].width, cameras[name].height)) ** 2
+        for name, bend in bends.items()
+        if bend
+    }
+    return EstimatedCameras(cameras, by_name, pairs, probability, doubt, notes, {}, distortions)
 
 
-def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:
+def _lens_warnings(described: Sequence[Described], focals: Mapping[str, Focal]) -> tuple[str, ...]:
+    """Return a sentence on each lens that the matches contradict."""
+    notes = {}
+    for item in described:
+        photograph = item.photograph
+        focal = focals[photograph.name]
+        if photograph.focal is not None and item.exif_probability < 1 - SUSPECT_WRONG:
+            assert item.settled is not None
+            matched = np.exp(item.settled.focal[0]) / item.shrunk
+            used = "EXIF is used" if item.priors.exif else "EXIF is not used"
+            notes[item.lens, "EXIF"] = (
+                f"{photograph.name}: EXIF gives a focal length of {photograph.focal:.0f} pixels, "
+                f"but the matches {matched:.0f}; {used}, and {focal.low:.0f} to {focal.high:.0f} "
+                "is likely; is the photograph cropped or edited? give cameras to be sure"
+            )
+        if item.bend:
+            notes[item.lens, "bend"] = (
+                f"{photograph.name}: the lens bends straight lines; a distortion of k1 = "
+                f"{item.bend * (focal.pixels * item.shrunk / item.longer) ** 2:.2f} is estimated "
+                "from the matches and removed; calibrated cameras are more accurate"
+            )
+    return tuple(notes.values())
+
+
+def focal_of(pixels: float, deviation: float, item: Described) -> Focal:
     """Return the focal length of the whole photograph with its interval, from the standard
-    deviation of its logarithm."""
-    by_exif = photograph.focal is not None
-    deviation = float(np.hypot(FOCAL_STD_FACTOR * deviation, FOCAL_STD_FLOOR))
-    deviation = min(deviation, two_view.EXIF_FOCAL_STD if by_exif else two_view.FOCAL_STD)
-    wide = float(np.exp(Z_90 * deviation))
-    narrowed = deviation < NARROWED_STD_RATIO * two_view.FOCAL_STD
+    deviation of its logarithm. Where EXIF may be wrong, the interval is that of both answers."""
+    priors = item.priors
+    by_exif = priors.exif is not None
+    spread = min(_add_model_error(deviation), item.focal[1])
+    narrowed = spread < NARROWED_STD_RATIO * two_view.FOCAL_STD
+    components = [(1.0, float(np.log(pixels)), spread)]
+    if item.photograph.focal is not None and item.settled is not None:
+        right, mean = item.exif_probability, item.settled.focal[0] - np.log(item.shrunk)
+        without = min(_add_model_error(item.settled.focal[1]), priors.typical[1])
+        rival = (mean, without) if by_exif else (np.log(item.photograph.focal), EXIF_FOCAL_STD)
+        share = right if by_exif else 1 - right
+        components = [(share, *components[0][1:]), (1 - share, *rival)]
+    low, high = np.exp(interval(components, 0.05)).tolist()
     source = "EXIF" if by_exif else "matches" if narrowed else "guess"
-    return Focal(float(pixels), float(pixels / wide), float(pixels * wide), source)
+    return Focal(float(pixels), min(low, float(pixels)), max(high, float(pixels)), source)
+
+
+def _add_model_error(deviation: float) -> float:
+    return float(np.hypot(FOCAL_STD_FACTOR * deviation, FOCAL_STD_FLOOR))

@@ -9,17 +9,27 @@ hardly any wrong pose is reported as good.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
 import numpy as np
 
-from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve
+from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve, widen
 from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED, EstimatedPair
+from slgaussian.cameras.lens_errors import (
+    EXIF_WRONG,
+    MIN_WRONG,
+    Lens,
+    LensEvidence,
+    assume,
+    update,
+    weigh,
+)
 from slgaussian.cameras.matches import Features, find_features, match
 from slgaussian.cameras.subpixel import sharpen
+from slgaussian.datasets.lens import lens_maps, unfold
 from slgaussian.io import short_repr
 
 MAX_IMAGE_SIDE = 1200
@@ -64,6 +74,13 @@ ZOOM_RATIO = 1.4
 REPETITION_SAMPLES, REPETITION_LIMIT = 200, 0.85
 """Approximate number of inliers tested for repetition, and largest :func:`_repetition`."""
 
+STILL_DISTANCE, MIN_MOVED_DISTANCE = 0.5, 6.0
+"""Distance, pixels, below which a match is at one place in both photographs; and smallest median
+distance of the others if these are marks on the photographs."""
+
+MIN_SIDE, BLANK_DEVIATION = 64, 2.0
+"""Smallest side of a photograph, pixels, and smallest standard deviation of its grey values."""
+
 SEPARATE_POINT_DISTANCE = 8.0
 """Distance, in units of the feature's scale, from which on two features are separate points."""
 
@@ -98,17 +115,34 @@ class Photograph:
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """A photograph with its grey image uint8 [h, w] and its features."""
+    """A photograph with its grey image uint8 [h, w] and its features.
+
+    Attributes:
+        settled: What all pairs say about the lens, if that is known; its distortion is removed from
+            image and features.
+    """
 
     photograph: Photograph
     grey: np.ndarray
     features: Features
+    settled: LensEvidence | None = None
 
     @staticmethod
     def of(photograph: Photograph) -> Described:
         """Detect the features of a photograph."""
         grey = cv2.cvtColor(photograph.image, cv2.COLOR_RGB2GRAY)
         return Described(photograph, grey, find_features(grey, MAX_FEATURES, CONTRAST_THRESHOLD))
+
+    def settle(self, evidence: LensEvidence) -> Described:
+        """Return the photograph with what its matches say about the lens, undistorted."""
+        bend, item = evidence.bend[0], self
+        if bend:
+            K = np.diag([self.longer, self.longer, 1.0])
+            K[:2, 2] = self.middle
+            maps = unfold(*lens_maps(K, (2 * self.middle).astype(int).tolist(), (bend,)))
+            image = cv2.remap(self.photograph.image, *maps, cv2.INTER_LINEAR)
+            item = Described.of(replace(self.photograph, image=image))
+        return replace(item, settled=evidence)
 
     @cached_property
     def digest(self) -> str:
@@ -134,9 +168,32 @@ class Described:
     @property
     def focal(self) -> tuple[float, float]:
         """Return the prior of the log focal length, pixels of the image: mean and deviation."""
-        if self.photograph.focal is None:
-            return float(np.log(FOCAL_MEAN * self.longer)), FOCAL_STD
-        return float(np.log(self.photograph.focal * self.shrunk)), EXIF_FOCAL_STD
+        priors = self.priors
+        return priors.typical if priors.exif is None else priors.exif
+
+    @property
+    def bend(self) -> float:
+        """Return the distortion that was removed from the image, 0 without."""
+        return 0.0 if self.settled is None else self.settled.bend[0]
+
+    @property
+    def exif_probability(self) -> float:
+        """Return the probability that the focal length by EXIF is right."""
+        return 1 - (0.0 if self.settled is None else update(EXIF_WRONG, self.settled.wrong))
+
+    @property
+    def priors(self) -> Lens:
+        """Return the priors of the lens; EXIF that the matches contradict is left out."""
+        mean, exif = float(np.log(FOCAL_MEAN * self.longer)), None
+        typical = mean, FOCAL_STD
+        if self.photograph.focal is not None:
+            stated = float(np.log(self.photograph.focal * self.shrunk))
+            # Other focal lengths than typical ones are likelier if EXIF has such.
+            typical = mean, max(FOCAL_STD, abs(stated - mean) / 2)
+            exif = (stated, EXIF_FOCAL_STD) if self.exif_probability > 1 - MIN_WRONG else None
+        if self.settled is None:
+            return Lens(self.longer, exif, typical)
+        return Lens(self.longer, exif, typical, self.settled.bend[1], open=False)
 
     @property
     def lens(self) -> tuple[str, int, int, float | None]:
@@ -156,8 +213,12 @@ class PairPose:
         x, y: float64 [M, 2]. Their positions, pixels from the image centres; ``y`` is refined to
             sub-pixel accuracy.
         estimate: ``estimate.verdict`` is UNUSED if the pose must not be used.
+        lenses: What the matches say about the two lenses; None if nothing.
         advice: Advice in that case, a clause.
         probability: Probability of the pose among all solutions.
+        rivals: list of (float, TwoViews). Probability and solution of each assumption on lenses.
+        deviations: float64 [2]. Standard deviations of the log focal lengths, if the distortion is
+            unknown.
     """
 
     first: Described
@@ -170,6 +231,9 @@ class PairPose:
     estimate: EstimatedPair
     advice: str = ""
     probability: float = 1.0
+    lenses: tuple[LensEvidence, LensEvidence] | None = None
+    rivals: Sequence[tuple[float, TwoViews]] = ()
+    deviations: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
     def of(self, mask: np.ndarray) -> PairPose:
         """Return the pose with the inliers restricted to ``mask``, bool [M]."""
@@ -186,12 +250,35 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         prior: Prior of the two focal lengths, pixels of the images; default from EXIF or typical
             lenses.
     """
-    if prior is None:
-        mean, sigma = np.array([a.focal, b.focal]).T
-        prior = FocalPrior(mean, sigma, shared=a.lens == b.lens)
     i, j, ratios = match(a.features, b.features, POSE_LOWE_RATIO)
     order = np.argsort(ratios, kind="stable")
     i, j = i[order], j[order]
+    pose = _pose_from_matches(a, b, i, j, prior)
+    moved = np.linalg.norm(a.features.points[i] - b.features.points[j], axis=1)
+    still = moved < STILL_DISTANCE
+    if pose.estimate.verdict != UNUSED or still.sum() < MIN_INLIERS or still.all():
+        return pose
+    # Marks on the photographs themselves agree with cameras that do not move.
+    scene = _pose_from_matches(a, b, i[~still], j[~still], prior)
+    if scene.estimate.inliers < MIN_INLIERS or np.median(moved[~still]) < MIN_MOVED_DISTANCE:
+        return pose
+    if scene.estimate.verdict != UNUSED:
+        return scene
+    return _refused(
+        pose,
+        f"{still.sum()} of {len(i)} matches are at the same pixels in both, as the marks of a "
+        "status bar or a watermark are, and the others do not determine the cameras",
+        "crop away what was drawn over the photographs",
+    )
+
+
+def _pose_from_matches(
+    a: Described, b: Described, i: np.ndarray, j: np.ndarray, prior: FocalPrior | None
+) -> PairPose:
+    """Estimate the relative pose from matching features int [M], the most reliable first."""
+    lenses, shared, is_given = (a.priors, b.priors), a.lens == b.lens, prior is not None
+    if prior is None:
+        prior = assume(lenses, shared)
     x = a.features.points[i] - a.middle
     y = sharpen((a.grey, b.grey), a.features, b.features, i, j) - b.middle
     names = a.photograph.name, b.photograph.name
@@ -214,6 +301,13 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
             all_matches.of(flat),
             *(_flaw_of_points(all_matches.of(flat), MIN_PLANAR_COVER, max) or degenerate),
         )
+    if not is_given:
+        bent = assume(lenses, shared, (False, False, True))
+        deviations = widen(best, x, y, bent).deviations(bent)[0]
+        all_matches = replace(all_matches, deviations=deviations)
+        if a.settled is None:
+            said, rivals = weigh(lenses, shared, x, y, best)
+            all_matches = replace(all_matches, lenses=said, rivals=rivals)
     pose = replace(all_matches.of(inlier), views=best)
     if count < max(MIN_INLIERS, MIN_INLIER_SHARE * len(i)):
         return _refuse_few(pose)
@@ -263,7 +357,8 @@ def confidence(pose: PairPose) -> float:
         return 0.0
     enough = 1 - np.exp(-pose.estimate.inliers / MIN_INLIERS)
     certain = np.exp(-0.5 * (pose.estimate.uncertainty / REFUSED_UNCERTAINTY) ** 2)
-    return float(pose.probability * enough * certain)
+    other = sum(p for p, end in pose.rivals if end.turned_from(pose.views) > SAME_POSE_ANGLE)
+    return float(pose.probability * enough * certain * (1 - other))
 
 
 def _on_homography(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -331,6 +426,17 @@ def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
 def _refuse_few(pose: PairPose) -> PairPose:
     """Refuse a pair with too few agreeing matches."""
     matches = pose.estimate.matches
+    for item in (pose.first, pose.second):
+        name, (height, width) = item.photograph.name, item.grey.shape
+        if min(height, width) < MIN_SIDE:
+            return _refused(
+                pose,
+                f"{name!r} has {width}x{height} pixels, too few to find points in",
+                f"give photographs of {MIN_SIDE} pixels or more on each side",
+            )
+        if item.grey.std() < BLANK_DEVIATION:
+            look = "black" if item.grey.mean() < 16 else "blank"
+            return _refused(pose, f"{name!r} is {look}", "leave it out, or take it again")
     return _refused(
         pose,
         f"too few points are found that both show ({pose.estimate.inliers} of {matches} matches "

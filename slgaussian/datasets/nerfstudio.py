@@ -379,10 +379,12 @@ def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCamer
             extra["estimated"] = asdict(camera.estimated)
         frame = {"file_path": paths[name], "transform_matrix": (camera.c2w * OPENGL_SIGNS).tolist()}
         frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        if name in estimated.distortions:
+            frame["k1"] = estimated.distortions[name]
         frame |= {"w": camera.width, "h": camera.height, EXTENSION_KEY: extra}
         frames.append(frame)
     record = estimated.as_json()
-    for key in ("focals", "left_out"):
+    for key in {"focals", "left_out", "distortions"} & {*record}:
         record[key] = {paths[name]: value for name, value in record[key].items()}
     for pair in record["pairs"]:
         pair["views"] = [paths[name] for name in pair["views"]]

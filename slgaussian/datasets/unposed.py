@@ -22,6 +22,7 @@ from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.two_view import MAX_IMAGE_SIDE, Photograph
 from slgaussian.checks import order_naturally
 from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of, read_lens, upright
+from slgaussian.datasets.lens import undistort
 from slgaussian.datasets.photographs import (
     Mask,
     composite,
@@ -83,10 +84,12 @@ def _in_memory(images: Sequence[Any]) -> Scene:
     if len(pictures) < 2:
         raise InputError(f"photographs: found {len(pictures)} image, expected at least two")
     estimated = find_cameras([_photograph(image, name) for name, image in pictures.items()])
+    lenses = estimated.lenses()
 
     def read_view(name: str) -> View:
         pixels = rgb(upright(pictures[name], orientation_of(pictures[name])), name)
-        return View(name, estimated.cameras[name], pixels)
+        view = View(name, estimated.cameras[name], pixels)
+        return undistort(view, lenses[name]()) if name in lenses else view
 
     return Scene("images", estimated.cameras, read_view, estimation=estimated.as_json())
 
@@ -229,4 +232,7 @@ def _photograph(image: Image.Image, name: str, mask: Mask | None = None) -> Phot
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
     """Return the scene of photographs by name with their estimated cameras."""
     name, record = folder_of(files).name or "photographs", estimated.as_json()
-    return scene_of(name, estimated.cameras, files, "photographs", upright=True, estimation=record)
+    return scene_of(
+        name, estimated.cameras, files, "photographs", lenses=estimated.lenses(), upright=True,
+        estimation=record,
+    )  # fmt: skip

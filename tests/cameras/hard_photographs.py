@@ -134,5 +134,8 @@ REFUSED = {
     "common corner": (_common_corner, "part|few"),
     "two rooms": (lambda: photographs(room(3, -0.3), room(5, 0.3)), "overlap|place|few|found"),
     "repeated windows": (_facade, "repeat|flat"),
+    "black": (lambda: photographs(motorcycle()[0], np.zeros((480, 640, 3), np.uint8)), "is black"),
+    "blank": (lambda: photographs(motorcycle()[0], np.full((480, 640, 3), 250, np.uint8)), "blank"),
+    "tiny": (lambda: photographs(*(i[::45, ::45].copy() for i in motorcycle())), "17x12 pixels"),
 }
 """By flaw: a function that makes the photographs, and a regular expression of the refusal."""
