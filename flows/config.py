@@ -80,14 +80,21 @@ Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 RUNNERS = ("threads", "processes")
 """Runners on this machine."""
 
+PORTS = {"dask": 8786, "ray": 10001}
+"""Usual port of a running cluster."""
+
 
 def _parse_runner(value: Any) -> str:
     text = str(value)
     if text in RUNNERS or re.fullmatch(r"(dask|ray)://.+:\d+", text):
         return text
+    kind = text.partition("://")[0]
+    advice = did_you_mean(kind, (*RUNNERS, "dask", "ray"))
+    if kind in PORTS:
+        advice = f"; give the address of the running cluster, as {kind}://host:{PORTS[kind]}"
     raise ValueError(
         "expected threads, processes, or for a cluster that runs dask://host:port or "
-        f"ray://host:port{did_you_mean(text.partition('://')[0], (*RUNNERS, 'dask', 'ray'))}",
+        f"ray://host:port{advice}"
     )
 
 

@@ -130,14 +130,16 @@ def _sample_tasks(
         else:
             chunk = refs[packed.name]
             cameras = chunk.meta["cameras"]
-        digests: dict[str, list[str]] = {}
-        for row in store.get(refs[views.name]).select(["clip", "digest"]).to_pylist():
+        frames_of: dict[str, list[dict[str, str]]] = {}
+        table = store.get(refs[views.name]).select(["clip", "digest", "signature"])
+        for row in table.to_pylist():
             if clips.owners.get(row["clip"]) == name:
-                digests.setdefault(row["clip"], []).append(row["digest"])
-        for clip, photographs in digests.items():
-            places.add(clip, photographs, source.place)
+                frames_of.setdefault(row["clip"], []).append(row)
+        for clip, rows in frames_of.items():
+            digests, signatures = ([row[key] for row in rows] for key in ("digest", "signature"))
+            places.add(clip, digests, source.place, signatures)
         for row in store.get(refs[pairs.name]).drop_columns("chunk").to_pylist():
-            if row["clip"] in digests:
+            if row["clip"] in frames_of:
                 frames = {key: row[key] for key in ("sample", "clip", "context", "targets")}
                 method = config.built_by, config.trust_cameras
                 measured = {**row, "cameras": cameras}

@@ -12,6 +12,7 @@ from flows.config import IndexSettings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
+from slgaussian.copies import Thumbnail, are_copies
 from slgaussian.datasets.configs import Rule
 from slgaussian.datasets.labelled_sets import LABELS
 from slgaussian.datasets.pair_selection import Views, surround
@@ -84,7 +85,7 @@ def _surrounded(
     scene: Scene, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, dict[str, Any] | str]:
     """Return fields of the :class:`ScenePair` of every labelled frame, or the reason of none."""
-    names, clip, unreadable = _look(scene)
+    names, clip, pictures, unreadable = _look(scene)
     place = {view: i for i, view in enumerate(names)}
     out: dict[str, Any] = dict.fromkeys(frames, "nothing is labelled in it")
     targets, excluded = {}, set()
@@ -100,6 +101,12 @@ def _surrounded(
         excluded.add(place[view])
         if categories:
             targets[frame] = place[view]
+    # A copy of a target is no context for it, under whatever name.
+    excluded |= {
+        number
+        for number, picture in enumerate(pictures)
+        if any(are_copies(pictures[target], picture) for target in targets.values())
+    }
     surrounding = surround(clip, list(targets.values()), excluded, rule)
     for (frame, number), pair in zip(targets.items(), surrounding, strict=True):
         if isinstance(pair, str):
@@ -113,12 +120,14 @@ def _surrounded(
     return out
 
 
-def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:
-    """Measure the readable views of a scene; return the reasons of the others."""
-    names, greys, unreadable = [], [], {}
+def _look(scene: Scene) -> tuple[list[str], Views, list[Thumbnail], dict[str, str]]:
+    """Measure and shrink the readable views of a scene; return the reasons of the others."""
+    names, greys, pictures, unreadable = [], [], [], {}
     for name in scene.cameras:
         try:
-            greys.append(small(scene.read(name).image))
+            view = scene.read(name)
+            greys.append(small(view.image))
+            pictures.append(view.thumbnail)
             names.append(name)
         except InputError as error:
             unreadable[name] = str(error)
@@ -128,4 +137,5 @@ def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:
     ]
     mean, clipped = np.array([exposure(grey) for grey in greys]).reshape(-1, 2).T
     blurs = np.array([blur(grey) for grey in greys])
-    return names, Views(cameras, typical_depths(greys, cameras), blurs, mean, clipped), unreadable
+    clip = Views(cameras, typical_depths(greys, cameras), blurs, mean, clipped)
+    return names, clip, pictures, unreadable

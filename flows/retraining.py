@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from prefect.states import State
 from flows import corpus
 from flows.config import RetrainSettings, Training
 from flows.runners.session import check_folder, completed, publish, run_session
-from flows.training import parted, read_lessons, train_on
+from flows.training import parted, read_lessons, read_places, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.io import write_atomic
@@ -102,7 +103,8 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
     try:
         failures = corpus.supervise(config, store, verbose).failures
         lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
-        learnt = learn(lessons, config, store, verbose)
+        places = read_places(config.out / corpus.FILES["views"])
+        learnt = learn(lessons, config, store, verbose, places)
         version, used = learnt.version, Versions(config.models).current()
         outcome, messages = "nothing new", [learnt.message]
         if version is not None:
@@ -133,7 +135,11 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
 
 
 def learn(
-    table: pa.Table, settings: RetrainSettings, store: ArtifactStore, verbose: bool = False
+    table: pa.Table,
+    settings: RetrainSettings,
+    store: ArtifactStore,
+    verbose: bool = False,
+    places: Mapping[str, str] | None = None,
 ) -> Learnt:
     """Train on lessons from the weights in use, and promote the result if it is better.
 
@@ -148,7 +154,7 @@ def learn(
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
-    lessons = parted(table, settings.held_out)
+    lessons = parted(table, settings.held_out, places)
     requested = settings.model_dump(mode="json", include=set(TRAINING_SETTINGS))
     requested["lessons"] = {name: table_digest(side) for name, side in vars(lessons).items()}
     used = version_name(0 if incumbent is None else incumbent.number)

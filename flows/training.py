@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from flows.runners.batches import SceneTask, compute_scene
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, writing
 from slgaussian import __version__
+from slgaussian.datasets.scene_grouping import Places
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
 from slgaussian.kernels.seeding import held_out
@@ -101,7 +103,7 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
 
 def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Trained:
     table = read_lessons(config.lessons / "lessons.parquet", store)
-    lessons = parted(table, config.held_out)
+    lessons = parted(table, config.held_out, read_places(config.lessons / "views.parquet"))
     start = None if config.start is None else find_weights(config.start)
     store.check_writable()
     check_folder(config.out)
@@ -131,10 +133,30 @@ def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
     return table
 
 
-def parted(lessons: pa.Table, share: float) -> Parted:
+def read_places(file: Path) -> dict[str, str]:
+    """Read the places of the clips in a table of spec ``views``, of those of near copies one.
+
+    There are none if the file is missing.
+    """
+    if not file.is_file():
+        return {}
+    table = decode_table(
+        file.read_bytes(), load_spec("views"), str(file), "run `slgaussian supervise` again"
+    )
+    places = Places()
+    for clip, rows in groupby(
+        table.select(["clip", "digest", "signature"]).to_pylist(), key=lambda row: row["clip"]
+    ):
+        frames = list(rows)
+        digests, signatures = ([row[key] for row in frames] for key in ("digest", "signature"))
+        places.add(clip, digests, signatures=signatures)
+    return places.by_clip()
+
+
+def parted(lessons: pa.Table, share: float, places: Mapping[str, str] | None = None) -> Parted:
     """Split lessons into those of training clips and of :func:`held-out <held_out>` clips.
 
-    Their order does not depend on the chunks.
+    Clips of one place are on one side. Their order does not depend on the chunks.
 
     Raises:
         InputError: If one of them is empty.
@@ -142,7 +164,8 @@ def parted(lessons: pa.Table, share: float) -> Parted:
     schema = load_spec("lessons").schema
     sides: tuple[list[dict[str, Any]], ...] = [], []
     for row in lessons.sort_by("sample").to_pylist():
-        sides[held_out(row["clip"], share)].append({**row, "chunk": None})
+        place = (places or {}).get(row["clip"], row["clip"])
+        sides[held_out(place, share)].append({**row, "chunk": None})
     result = Parted(*(pa.Table.from_pylist(side, schema=schema) for side in sides))
     counts = result.counts()
     if not all(counts.values()):

@@ -21,6 +21,7 @@ import cv2
 import numpy as np
 
 from slgaussian.checks import check_names, name_parts, namesakes, order_naturally
+from slgaussian.copies import Thumbnail, are_copies
 from slgaussian.errors import InputError
 from slgaussian.formats.images import MAX_PIXELS
 from slgaussian.formats.resampling import Fit, Window
@@ -45,6 +46,10 @@ MAX_DISTANCE_RATIO = 100.0
 """Largest distance from the origin of the world, in spreads of the positions themselves, at which
 float32 holds them: it rounds by 6e-8 of the distance, so a point moves by at most 6e-6 of the
 baseline, and in the image by that share of its disparity, under a thousandth of a pixel."""
+
+SAME_PLACE_SHARE, SAME_PLACE_ANGLE = 0.02, 2.0
+"""Distance of two cameras, as a share of the largest one of a sample, and angle, degrees, up to
+which they may have taken pictures that cannot be told apart, as a film does that pauses."""
 
 PAPER_PIXELS = 416 * 576
 """Number of pixels of the paper's images."""
@@ -284,6 +289,11 @@ class View:
     def lab(self) -> np.ndarray:
         """CIELAB float32 [H, W, 3]: L in 0 to 100, a and b about -100 to 100."""
         return cv2.cvtColor(self.image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+
+    @cached_property
+    def thumbnail(self) -> Thumbnail:
+        """The photograph in small, by which copies are recognised."""
+        return Thumbnail.of(self.image)
 
     def resized(self, height: int, width: int) -> View:
         """Scale to cover ``height`` x ``width``, then crop the centre, ground truth included.
@@ -590,13 +600,18 @@ def local_origin(positions: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
 def _check_views(scene: str, views: Sequence[View]) -> None:
     """Raise InputError if all views share a position, or two are one picture with two poses."""
     has_baseline = False
+    centers = np.stack([view.camera.center for view in views])
+    extent = np.linalg.norm(centers[:, None] - centers, axis=-1).max()
     for a, b in combinations(views, 2):
         baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
         if baseline <= ROUNDING * max(np.abs(view.camera.center).max() for view in (a, b)):
             continue
         has_baseline = True
-        # A walk has many pairs: what nearly all of them lack is asked first.
-        if np.array_equal(a.image, b.image) and not (a.image == a.image[0, 0]).all():
+        cosine = (np.trace(a.camera.c2w[:3, :3].T @ b.camera.c2w[:3, :3]) - 1) / 2
+        differ = cosine < np.cos(np.radians(SAME_PLACE_ANGLE))
+        differ |= baseline > SAME_PLACE_SHARE * extent
+        # Copies of a film that pauses are left out later.
+        if (differ or np.array_equal(a.image, b.image)) and are_copies(a.thumbnail, b.thumbnail):
             raise InputError(
                 f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their "
                 "poses differ; one of the two photographs is the wrong file"

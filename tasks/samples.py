@@ -23,11 +23,11 @@ from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays, sample_from_arrays, sample_to_arrays
 from tasks.chunks import Framing, framed_views, left_out, read_chunk
 from tasks.context import RunContext
-from tasks.scene import geometry, masks, read_geometry
+from tasks.scene import check_held_out, geometry, masks, read_geometry
 from tasks.stage import stage
 
 
-@stage("framed", version=3)
+@stage("framed", version=4)
 def framed(
     run: RunContext, chunk: KnownFile | ArtifactRef, frames: Mapping[str, Any], framing: Framing
 ) -> ArtifactRef:
@@ -118,15 +118,18 @@ def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: b
     Decoding ``targets`` takes as long as the context and is optional.
 
     Raises:
-        InputError: If a view cannot be decoded, or the views do not make a sample.
+        InputError: If a view cannot be decoded, or the views do not make a sample, or a
+            target is a copy of a context view.
     """
     context = framed_views(clip, row["context"], framing)
     target_views = framed_views(clip, row["targets"], framing) if targets else ()
-    return Sample(row["sample"], context, target_views)
+    sample = Sample(row["sample"], context, target_views)
+    check_held_out(sample)
+    return sample
 
 
 # Its version is raised with that of the stage that labels the views of a single scene.
-@stage("lessons", version=1000 * masks.version + 1)
+@stage("lessons", version=1000 * masks.version + 2)
 def lessons(
     run: RunContext,
     pairs: ArtifactRef,

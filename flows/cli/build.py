@@ -63,6 +63,9 @@ def field(
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit with status 4 if the scene is poor.")
     ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace a field of other photographs.")
+    ] = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Print all warnings, and statistics.")
     ] = False,
@@ -83,12 +86,18 @@ def field(
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality, camera_doubt
     from slgaussian.language.configs import INSTALL, find_weights
-    from slgaussian.storage.field_folder import check_target, describe_photographs
+    from slgaussian.storage.field_folder import (
+        check_same_photographs,
+        check_target,
+        describe_photographs,
+    )
 
     settings = make_settings(options.settings_from(ctx), "field")
     check_target(out)  # before the work
     start = time.perf_counter()
     sample, places = load_photographs(photos, cameras, settings, keyframes, verbose)
+    if not force:
+        check_same_photographs(out, places)
     seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
     precompile.begin()
     height, width = sample.context[0].image.shape[:2]

@@ -17,6 +17,7 @@ from slgaussian.cameras.incremental import Placed, Tie, place
 from slgaussian.cameras.lens_errors import SUSPECT_WRONG, LensEvidence, combine, interval
 from slgaussian.cameras.matches import match
 from slgaussian.cameras.two_view import EXIF_FOCAL_STD, Described, PairPose, Photograph, confidence
+from slgaussian.copies import Thumbnail, are_copies
 from slgaussian.errors import InputError, listed
 from slgaussian.scene import Camera, Estimated
 
@@ -81,23 +82,29 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
     """Estimate the cameras of two or more photographs.
 
     The same photographs give the same cameras; their order determines only the world frame.
-    Photographs that cannot be placed are left out if they are the minority. Duplicates are left out
-    if at least two different photographs remain.
+    Photographs that cannot be placed are left out if they are the minority. Of the copies of one
+    picture only the largest stays, the first of several.
 
     Raises:
         InputError: If the estimation fails; the message names the photographs, the reason and what
             to do.
     """
-    once: list[Photograph] = []
-    left = {}
-    for photograph in photographs:
-        same = (earlier for earlier in once if np.array_equal(earlier.image, photograph.image))
+    originals: dict[str, Thumbnail] = {}
+    left: dict[str, str] = {}
+    for photograph in sorted(photographs, key=lambda item: -item.width * item.height):
+        picture = Thumbnail.of(photograph.image)
+        same = (name for name, other in originals.items() if are_copies(other, picture))
         if (first := next(same, None)) is None:
-            once.append(photograph)
+            originals[photograph.name] = picture
         else:
-            left[photograph.name] = f"it is the same picture as {first.name}"
-    if len(once) < 2:
-        once, left = list(photographs), {}
+            left[photograph.name] = f"it is the same picture as {first}"
+    if len(originals) < 2:
+        name, reason = next(iter(left.items()))
+        raise InputError(
+            f"{name!r}: {reason}, and no other photograph is left; depth needs a photograph of the "
+            "same things from a step aside"
+        )
+    once = [photograph for photograph in photographs if photograph.name in originals]
     described = [Described.of(photograph) for photograph in once]
     solve = cache(two_view.find_pair)
     remaining = described

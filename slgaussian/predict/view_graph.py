@@ -10,6 +10,7 @@ import numpy as np
 
 from slgaussian.cameras.match_graph import MatchGraph, neighbours
 from slgaussian.cameras.relative import Relative
+from slgaussian.copies import are_copies
 from slgaussian.errors import InputError, listed
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.pose_refinement import (
@@ -174,7 +175,9 @@ def select_usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
 
 def _same(a: View, b: View) -> bool:
     same_camera = np.allclose(a.camera.c2w, b.camera.c2w) and np.allclose(a.camera.K, b.camera.K)
-    return bool(same_camera and np.array_equal(a.image, b.image))
+    return bool(
+        same_camera and (np.array_equal(a.image, b.image) or are_copies(a.thumbnail, b.thumbnail))
+    )
 
 
 def _verified_matches(

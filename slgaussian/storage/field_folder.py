@@ -11,6 +11,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -206,6 +207,29 @@ def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
         return {name: (Path(place), str(digest)) for name, (place, digest) in entries}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise SpecError(f"{file}: damaged ({error}); {REPAIR}") from error
+
+
+def check_same_photographs(folder: Path, places: Mapping[str, str]) -> None:
+    """Check that the field in a folder, if there is one, is of the same photographs by content.
+
+    Args:
+        places: As for :func:`describe_photographs`. If none is a file, the names count.
+
+    Raises:
+        InputError: If it is of other photographs, or cannot be read.
+    """
+    if not (folder / FIELD_FILE).is_file():
+        return
+    digests = sorted(file_digest(place) for place in places.values() if os.path.isabs(place))
+    with suppress(SpecError):
+        about, _ = read_about(folder)
+        recorded = sorted(digest for _, digest in read_photographs(folder).values())
+        if recorded == digests if digests else set(about.cameras) <= set(places):
+            return
+    raise InputError(
+        f"{folder}: holds a field of other photographs; choose another folder, or give --force to "
+        "replace it"
+    )
 
 
 def check_target(path: Path, marker: str = FIELD_FILE, kind: str = "a field") -> None:

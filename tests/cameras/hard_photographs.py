@@ -126,8 +126,8 @@ def _blurred() -> list[Photograph]:
 
 
 REFUSED = {
-    "same photograph": (lambda: photographs(*[motorcycle()[0]] * 2), "one place"),
-    "other exposure": (_other_exposure, "one place"),
+    "same photograph": (lambda: photographs(*[motorcycle()[0]] * 2), "same picture as"),
+    "other exposure": (_other_exposure, "same picture as"),
     "pure rotation": (lambda: photographs(room(5, 0.0), room(5, 0.0, yaw=9.0)), "sideways"),
     "plane": (_plane, "flat"),
     "blur": (_blurred, "blur|few|found"),

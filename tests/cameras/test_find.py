@@ -50,6 +50,18 @@ def test_duplicate_photograph_is_left_out_and_changes_no_byte():
         assert camera.K.tobytes() == result.cameras[name].K.tobytes()
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
+def test_the_smaller_copy_is_left_out_in_any_order(order):
+    a, b = room_pair()
+    small = cv2.resize(a.image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    copy = replace(a, name="copy.jpg", image=small, width=a.width // 2, height=a.height // 2)
+    photographs = (a, b, copy)
+    result = find_cameras([photographs[k] for k in order])
+    assert result.left_out == {"copy.jpg": "it is the same picture as a.jpg"}
+    with pytest.raises(InputError, match=r"'copy\.jpg': it is the same picture as a\.jpg, and no"):
+        find_cameras([copy, a])
+
+
 def test_focal_length_of_exif_is_used_where_the_matches_do_not_contradict_it():
     result = find_cameras(
         [replace(p, lens="phone", focal=1.04 * 0.9 * p.width) for p in room_pair()]

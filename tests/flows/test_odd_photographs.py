@@ -30,3 +30,15 @@ def test_a_copy_and_a_stranger_are_left_out_by_name(photos, slg):
         "warning: elsewhere.png is left out: fewer than 12 matches with any other tell its depth",
     ]
     assert list(SemanticField.load("odd").cameras) == list(NAMES)
+
+
+def test_a_field_of_other_photographs_is_replaced_only_by_force(photos, slg, refusal):
+    words = ("--cameras", "transforms.json", "-o", "field", "--size", "48x64")
+    assert slg("field", "a.png", "b.png", *words)[0] == 0
+    before = (photos / "field/gaussians.npz").read_bytes()
+    assert slg("field", "a.png", "b.png", *words)[0] == 0
+    for other in (("b.png", "c.png"), ("a.png", "b.png", "c.png")):
+        assert "field: holds a field of other photographs" in refusal("field", *other, *words)
+    assert (photos / "field/gaussians.npz").read_bytes() == before
+    assert slg("field", "b.png", "c.png", *words, "--force")[0] == 0
+    assert (photos / "field/gaussians.npz").read_bytes() != before

@@ -124,7 +124,7 @@ def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(fil
         ('[[scenes]]\nname="a"\ncontext=["1"]', "context: .*expected a list of at least 2"),
         ("replicas = 0", "replicas: found 0, expected a whole number from 1"),
         ('size = "abc"', "size: found 'abc'; expected height and width"),
-        ('runner = "dask"', "runner: found 'dask'; expected threads, processes, or for a cluster"),
+        ('runner = "dask"', "port; give the address of the running cluster, as dask://host:8786"),
         ("threshold = 2", "threshold: found 2, expected a number from 0 below 1"),
         ("out = 3", "out: found 3, expected a path"),
         ("seed = ", "not valid TOML"),
