@@ -97,8 +97,12 @@ def normalise(signatures: np.ndarray) -> np.ndarray:
     return np.where(blank, 0, centred / np.maximum(norms, 1e-3)).astype(np.float32)
 
 
-def are_copies(a: Thumbnail, b: Thumbnail) -> bool:
-    """Return whether two pictures are copies; not if there is too little in them to compare."""
+def are_copies(a: Thumbnail, b: Thumbnail, whole: bool = False) -> bool:
+    """Return whether two pictures are copies; not if there is too little in them to compare.
+
+    With ``whole``, a copy shows the whole picture as it is: not cropped, turned or mirrored, as a
+    flat or symmetric scene looks from two places.
+    """
     if np.array_equal(a.pixels, b.pixels):
         return bool((a.pixels != a.pixels[0, 0]).any())
     smallest = min(len(a.pixels), len(b.pixels))
@@ -107,12 +111,13 @@ def are_copies(a: Thumbnail, b: Thumbnail) -> bool:
         resized = len(a.pixels) != len(b.pixels)
         return bool(resized and np.abs(first - second).mean() < MAX_SMALL_CHANGE * first.std())
     squares = b.coarse.reshape(COARSE_SIDE, COARSE_SIDE)
-    for quarter, mirror in TURNS:
+    for quarter, mirror in TURNS[: 1 if whole else None]:
         turned = _turn(squares, quarter, mirror)
         if a.coarse @ turned.ravel() >= MIN_CORRELATION:
             other = _turn(b.pixels, quarter, mirror)
             # Clipped tones can be computed from unclipped ones, but not these from those.
-            if _explains(a.pixels, other) or _explains(other, a.pixels):
+            most = CROP_ERROR if whole else MAX_CROP
+            if _explains(a.pixels, other, most) or _explains(other, a.pixels, most):
                 return True
     return False
 
@@ -125,8 +130,8 @@ def _turn(image: np.ndarray, quarter: int, mirror: bool) -> np.ndarray:
     return np.rot90(image[:, ::-1] if mirror else image, quarter)
 
 
-def _explains(a: np.ndarray, b: np.ndarray) -> bool:
-    """Return whether ``b`` is ``a`` up to scale, shift and tones; uint8 [n, n, 3], [m, m, 3]."""
+def _explains(a: np.ndarray, b: np.ndarray, most: float) -> bool:
+    """Return whether ``b`` is ``a`` up to scale, shift (``most``) and tones, uint8 [n, n, 3]."""
     layout = np.zeros(4)  # scale - 1 of x and y, then shift, as fractions of the side
     smallest = min(len(a), len(b))
     for side, rounds, bound in LEVELS:
@@ -160,6 +165,8 @@ def _explains(a: np.ndarray, b: np.ndarray) -> bool:
             return False
         if side == smallest:
             break
+    if np.abs(layout).max() > most:
+        return False
     half, shift = (1 + layout[:2]) / 2, np.abs(layout[2:])
     inside, outside = half + shift < 0.5 + CROP_ERROR, half - shift > 0.5 - CROP_ERROR
     if not (inside.all() or outside.all()):

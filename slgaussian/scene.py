@@ -611,7 +611,9 @@ def _check_views(scene: str, views: Sequence[View]) -> None:
         differ = cosine < np.cos(np.radians(SAME_PLACE_ANGLE))
         differ |= baseline > SAME_PLACE_SHARE * extent
         # Copies of a film that pauses are left out later.
-        if (differ or np.array_equal(a.image, b.image)) and are_copies(a.thumbnail, b.thumbnail):
+        if (differ or np.array_equal(a.image, b.image)) and are_copies(
+            a.thumbnail, b.thumbnail, whole=True
+        ):
             raise InputError(
                 f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their "
                 "poses differ; one of the two photographs is the wrong file"

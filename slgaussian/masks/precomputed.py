@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from slgaussian.checks import companion
+from slgaussian.checks import companion, namesakes
 from slgaussian.errors import InputError
 from slgaussian.masks.configs import MAP_SUFFIXES, PrecomputedConfig
 
@@ -84,16 +84,17 @@ class Precomputed(PrecomputedConfig):
         return drawn_on.ids(ids, height, width)
 
 
-def map_names(views: Sequence[str]) -> dict[str, str]:
+def map_names(views: Sequence[str], others: Sequence[str] = ()) -> dict[str, str]:
     """Return the names of the id maps by view, without suffix.
 
-    They are the file names of the views if these are unique, or else include their folders.
+    They are the file names of the views if these are unique, also among ``others``, the names of
+    further photographs of the scene; or else include their folders.
 
     Raises:
         InputError: If two views would have one map, or a map would lie outside the folder.
     """
     names = {view: Path(view).stem for view in views}
-    if len(set(names.values())) < len(names):
+    if len(set(names.values())) < len(names) or any(namesakes(view, others) for view in views):
         names = {view: Path(view).with_suffix("").as_posix() for view in views}
     if len(set(names.values())) < len(names):
         raise InputError(f"views {', '.join(views)}: two would have one id map; rename one of them")

@@ -90,8 +90,9 @@ def test_first_two_photographs_of_one_place_are_refused(photographs):
     first, second, _ = photographs
     image = first.image.copy()
     image[0, 0] ^= 1
+    twin = replace(first, image=image, name="twin.jpg")
     with pytest.raises(InputError, match=r"twin.jpg'.*one place"):
-        find_cameras([first, replace(first, image=image, name="twin.jpg"), second])
+        find_multi_view([*map(Described.of, (first, twin, second))], find_pair)
 
 
 def test_only_overlapping_photographs_are_solved_in_pairs():
