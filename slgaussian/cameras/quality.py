@@ -132,7 +132,8 @@ class Quality:
             )
         if self.agreement >= GOOD_AGREEMENT and self.clash <= GOOD_CLASH:
             if not self.apart:
-                return Verdict(GOOD)
+                unchecked = "too few matches agree to check the cameras, which are taken as given"
+                return Verdict(GOOD, "" if self.judged else unchecked)
             return Verdict(
                 USABLE,
                 f"views that share less than {LOW_OVERLAP:.0%} with any other: {self.apart}; "

@@ -92,7 +92,8 @@ def test_summary_and_verdict():
     ):
         verdict = replace(GOOD, **changes).verdict()
         assert verdict.level == level and reason in verdict.reason
-    assert "too few agree" in replace(GOOD, judged=False, angle=None).summary()
+    unjudged = replace(GOOD, judged=False, angle=None)
+    assert "too few agree" in unjudged.summary() and "taken as given" in unjudged.verdict().sentence()
 
 
 def test_confidence_of_estimated_cameras_falls_with_clashes_and_doubtful_matches():
