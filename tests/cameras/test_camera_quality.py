@@ -93,7 +93,7 @@ def test_summary_and_verdict():
         verdict = replace(GOOD, **changes).verdict()
         assert verdict.level == level and reason in verdict.reason
     unjudged = replace(GOOD, judged=False, angle=None)
-    assert "too few agree" in unjudged.summary() and "taken as given" in unjudged.verdict().sentence()
+    assert "too few agree" in unjudged.summary() and "as given" in unjudged.verdict().sentence()
 
 
 def test_confidence_of_estimated_cameras_falls_with_clashes_and_doubtful_matches():
