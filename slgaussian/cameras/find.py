@@ -216,13 +216,13 @@ def settle_lenses(
         The photographs with what all pairs say about their lenses, and the poses of pairs.
     """
     poses = {(i, j): solve(described[i], described[j]) for i, j in pairs}
-    said: dict[object, list[LensEvidence]] = {item.lens: [] for item in described}
+    evidences: dict[object, list[LensEvidence]] = {item.lens: [] for item in described}
     for views, pose in poses.items():
         for lens, evidence in {
             described[view].lens: each for view, each in zip(views, pose.lenses or (), strict=False)
         }.items():
-            said[lens].append(evidence)
-    by_lens = {lens: combine(evidence) for lens, evidence in said.items() if evidence}
+            evidences[lens].append(evidence)
+    by_lens = {lens: combine(evidence) for lens, evidence in evidences.items() if evidence}
     settled = [
         item.settle(by_lens[item.lens]) if item.lens in by_lens else item for item in described
     ]

@@ -58,7 +58,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class LensEvidence:
-    """What the matches of two photographs say about one of the lenses.
+    """Evidence of the matches of two photographs on one of their lenses.
 
     Attributes:
         wrong, bent: Logarithms of the Bayes factors for a wrong focal length by EXIF, and for a
@@ -97,7 +97,7 @@ def weigh(
         best: Best solution under the plain assumption.
 
     Returns:
-        What they say about the lenses, and a solution under each assumption with its probability.
+        The evidence on the lenses, and a solution under each assumption with its probability.
     """
     exif = [lens.exif is not None for lens in lenses]
     sides = [(False, True) if some else (False,) for some in (*exif, lenses[0].open)]
@@ -138,16 +138,16 @@ def weigh(
         return widen(ends[each], x, y, prior), prior
 
     bent, bent_prior = likeliest(2)
-    said = []
+    evidences = []
     for place in (0, 1):
         free, prior = likeliest(place)
         focal = float(np.log(free.focals[place])), float(free.deviations(prior)[0][place])
         squared = lenses[place].longer ** 2
         bend = bent.bends[place] * squared, float(bent.deviations(bent_prior)[1][place]) * squared
-        said.append(LensEvidence(factor(place), factor(2), focal, bend))
+        evidences.append(LensEvidence(factor(place), factor(2), focal, bend))
     total = np.logaddexp.reduce(list(gains.values()))
     solutions = [(float(np.exp(gains[each] - total)), end) for each, end in ends.items()]
-    return (said[0], said[1]), solutions
+    return (evidences[0], evidences[1]), solutions
 
 
 def _gain(views: TwoViews, plain: TwoViews, x: np.ndarray, y: np.ndarray) -> float:
@@ -156,14 +156,14 @@ def _gain(views: TwoViews, plain: TwoViews, x: np.ndarray, y: np.ndarray) -> flo
     return evidence(views, x, y, scale) - evidence(plain, x, y, scale)
 
 
-def combine(said: Sequence[LensEvidence]) -> LensEvidence:
+def combine(evidences: Sequence[LensEvidence]) -> LensEvidence:
     """Combine what several pairs say about one lens."""
     means = []
-    for values in ([each.focal for each in said], [each.bend for each in said]):
+    for values in ([each.focal for each in evidences], [each.bend for each in evidences]):
         mean, std = np.array(values).T
         weight = std**-2.0
         means.append((float((weight * mean).sum() / weight.sum()), float(std.min())))
-    wrong, bent = (float(sum(getattr(e, name) for e in said)) for name in ("wrong", "bent"))
+    wrong, bent = (float(sum(getattr(e, name) for e in evidences)) for name in ("wrong", "bent"))
     focal, (bend, std) = means
     if update(BENT, bent) < MIN_BENT:
         return LensEvidence(wrong, bent, focal, (0.0, BEND_STD))
