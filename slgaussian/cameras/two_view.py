@@ -306,8 +306,8 @@ def _pose_from_matches(
         deviations = widen(best, x, y, bent).deviations(bent)[0]
         all_matches = replace(all_matches, deviations=deviations)
         if a.settled is None:
-            said, rivals = weigh(lenses, shared, x, y, best)
-            all_matches = replace(all_matches, lenses=said, rivals=rivals)
+            evidences, rivals = weigh(lenses, shared, x, y, best)
+            all_matches = replace(all_matches, lenses=evidences, rivals=rivals)
     pose = replace(all_matches.of(inlier), views=best)
     if count < max(MIN_INLIERS, MIN_INLIER_SHARE * len(i)):
         return _refuse_few(pose)

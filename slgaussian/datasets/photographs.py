@@ -180,7 +180,7 @@ def photographs_in(folder: Path) -> list[Path]:
             f"{folder}: files that are no photographs of a known format are passed over, "
             f"{len(others)}: {', '.join(others[:4])}{', ...' if len(others) > 4 else ''}; save "
             "photographs among them as JPEG",
-            stacklevel=1,  # one place for all callers: it is said once
+            stacklevel=1,  # one place for all callers, so that it appears once
         )
     return photographs
 
@@ -342,7 +342,7 @@ def find_masks(photographs: Mapping[str, Path]) -> dict[str, Mask]:
             f"{', '.join(sorted(map(str, used)))}: masks of {len(masks)} of {len(photographs)} "
             "photographs are read, as they are called as these; what is black in them is ignored, "
             f"in {DYNAMIC_MASK}* what is not black; rename them to use all pixels",
-            stacklevel=1,  # one place for all callers: it is said once
+            stacklevel=1,  # one place for all callers, so that it appears once
         )
     return masks
 
