@@ -248,8 +248,8 @@ def masks(
             typer.echo(f"warning: {doubt}", err=True)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 
-    shared = [name for view in sample.context for name in view.namesakes]
-    names, files, panels = map_names([view.name for view in sample.context], shared), {}, []
+    namesakes = [name for view in sample.context for name in view.namesakes]
+    names, files, panels = map_names([view.name for view in sample.context], namesakes), {}, []
     rows = [("view", "file", "objects", "labelled")]
     with atomic_folder(out) as draft:
         for view, ids, areas in zip(sample.context, maps.labels, maps.areas().T, strict=True):
