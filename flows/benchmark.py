@@ -29,7 +29,7 @@ from flows.runners.batches import (
 from flows.runners.progress import Progress
 from flows.runners.session import (
     check_folder,
-    completed,
+    final_state,
     publish,
     run_session,
     stages_to_refresh,
@@ -106,8 +106,8 @@ class RunResult:
 def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     """Score the method and baselines on many scenes; write tables, masks, fields and report.
 
-    The final state names the scenes that were left out. On an external Prefect server, report and
-    scores are also published as Prefect artifacts.
+    The final state is Failed if all scenes were left out, ``LeftOut`` if some were, and names them.
+    On an external Prefect server, report and scores are also published as Prefect artifacts.
 
     Args:
         verbose: Print a line for every stage.
@@ -121,7 +121,7 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     if result.report is not None:
         publish(REPORT, result.report.with_suffix(".md").read_text("utf-8"))
         publish(SCORES, read_table(config.out / "scores.parquet").to_pylist())
-    return completed(message, result, result.failures)
+    return final_state(message, result, result.failures, not result.results)
 
 
 def check(config: Settings, store: ArtifactStore) -> None:
@@ -141,7 +141,8 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     scenes, notes = scenes_of(config)
     variants, method = combinations(config), config.built_by
     refresh = stages_to_refresh(config, REFRESHABLE)
-    with open_workers(config.runner, config.workers, store, refresh) as workers:
+    limit = config.max_failures
+    with open_workers(config.runner, config.workers, store, refresh, limit) as workers:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
         for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
             progress.line(text)

@@ -244,6 +244,12 @@ class Engine(Config):
     workers: int = Field(
         min(2, threads.cores()), ge=1, description="Number of concurrent scenes (or chunks)."
     )
+    max_failures: float = Field(
+        0.5,
+        ge=0,
+        description="Scenes (or chunks) that may be left out before the run stops: a number, or a "
+        "share below 1 of those that have ended.",
+    )
     refresh: list[str] = Field(
         [], description="Stages to recompute, with all stages that depend on them."
     )

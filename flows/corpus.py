@@ -15,7 +15,13 @@ from prefect.states import State
 from flows.clip_sources import Clips, choose_samples, map_sources, sources_of
 from flows.config import CorpusSettings
 from flows.runners.batches import Failure, write_failures
-from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
+from flows.runners.session import (
+    check_folder,
+    final_state,
+    run_session,
+    stages_to_refresh,
+    writing,
+)
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
@@ -43,6 +49,11 @@ class Prepared:
     failures: list[Failure]
 
     @property
+    def empty(self) -> bool:
+        """Whether a table has no row."""
+        return not all(self.rows.values())
+
+    @property
     def message(self) -> str:
         """The rows of each table, as text."""
         return ", ".join(f"{count} {stage}" for stage, count in self.rows.items())
@@ -66,7 +77,7 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
         return prepared
 
     prepared = run_session("ingest", config, work)
-    return completed(prepared.message, prepared, prepared.failures)
+    return final_state(prepared.message, prepared, prepared.failures, prepared.empty)
 
 
 @flow(name="slgaussian-supervise", persist_result=False)
@@ -77,7 +88,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
         InputError: As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
     prepared = run_session("supervise", config, lambda store: supervise(config, store, verbose))
-    return completed(prepared.message, prepared, prepared.failures)
+    return final_state(prepared.message, prepared, prepared.failures, prepared.empty)
 
 
 def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
@@ -123,7 +134,8 @@ def _prepare(
     """Run a pipeline with these stages on all sources, and write their tables."""
     check(config, store)
     refresh = stages_to_refresh(config, (packed.name, *stages))
-    with open_workers(config.runner, config.workers, store, refresh) as workers:
+    limit = config.max_failures
+    with open_workers(config.runner, config.workers, store, refresh, limit) as workers:
         clips = map_sources(config, workers, pipeline, arguments, len(stages), verbose)
     with writing(config.out):
         rows = {

@@ -19,7 +19,7 @@ from flows.clip_sources import Clips, choose_samples, map_sources
 from flows.config import DatasetSettings
 from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_with_progress, write_failures
-from flows.runners.session import completed, run_session, stages_to_refresh, writing
+from flows.runners.session import final_state, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
@@ -63,7 +63,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
             or the folder cannot be written.
     """
     result = run_session("dataset", config, lambda store: _make(config, store, verbose))
-    return completed(f"{result.samples} samples in {config.out}", result, result.failures)
+    return final_state(f"{result.samples} samples in {config.out}", result, result.failures)
 
 
 def check(config: DatasetSettings, store: ArtifactStore) -> None:
@@ -76,7 +76,8 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
     check(config, store)
     stages = packed, views, pairs, *SAMPLES
     refresh = stages_to_refresh(config, [stage.name for stage in stages])
-    with open_workers(config.runner, config.workers, store, refresh) as workers:
+    limit = config.max_failures
+    with open_workers(config.runner, config.workers, store, refresh, limit) as workers:
         arguments = Bounds.of(config), config.trust_cameras, config.targets
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         places = Places()

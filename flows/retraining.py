@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from prefect import flow
+from prefect.client.schemas.objects import StateType
 from prefect.states import State
 
 from flows import corpus
 from flows.config import RetrainSettings, Training
-from flows.runners.session import check_folder, completed, publish, run_session
+from flows.runners.session import check_folder, final, publish, run_session
 from flows.training import parted, read_lessons, read_places, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
@@ -33,6 +34,15 @@ TRAINING_SETTINGS = (*Training.model_fields, "codes", "seed")
 
 STATUS = {"promoted": 0, "failed": 2, "refused": 3, "regressed": 4, "busy": 5, "nothing new": 6}
 """Exit status of the command by the outcome."""
+
+STATE_TYPES = {
+    "promoted": StateType.COMPLETED,
+    "nothing new": StateType.COMPLETED,
+    "refused": StateType.FAILED,
+    "regressed": StateType.FAILED,
+    "busy": StateType.CANCELLED,
+}
+"""Type of the final state by the outcome."""
 
 LOCK = ".retrain.lock"
 
@@ -79,9 +89,10 @@ class Learnt:
 def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]:
     """Ingest and label new clips, train, evaluate, and promote the weights if they are better.
 
-    The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
-    ``Refused``, ``Regressed``, ``NothingNew`` or ``Busy``; an error fails the run. A
-    record and a Prefect artifact have the scores, the decision and what was left out.
+    The name of the final state is the outcome, for Prefect's automations: ``Promoted`` and
+    ``NothingNew`` are of type Completed, ``Refused`` and ``Regressed`` of type Failed, ``Busy`` of
+    type Cancelled; an error fails the run. A record and a Prefect artifact have the scores, the
+    decision and what was left out.
 
     Raises:
         InputError: As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
@@ -93,8 +104,8 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
             result = run_session("retrain", config, lambda store: _retrain(config, store, verbose))
     except BusyError as error:
         result = Retraining("busy", (str(error),))
-    name = result.outcome.title().replace(" ", "")
-    return completed("; ".join(result.messages), result, name=name)
+    type, name = STATE_TYPES[result.outcome], result.outcome.title().replace(" ", "")
+    return final(State(type=type, name=name, message="; ".join(result.messages), data=result))
 
 
 def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Retraining:

@@ -17,7 +17,7 @@ from prefect.states import State
 from flows.config import Training, TrainSettings
 from flows.runners.batches import SceneTask, compute_scene
 from flows.runners.progress import Progress
-from flows.runners.session import check_folder, completed, run_session, writing
+from flows.runners.session import check_folder, final_state, run_session, writing
 from slgaussian import __version__
 from slgaussian.datasets.scene_grouping import Places
 from slgaussian.errors import InputError, SpecError
@@ -98,7 +98,7 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
             cannot be used, the training fails, or a file cannot be written.
     """
     trained = run_session("train", config, lambda store: _train(config, store, verbose))
-    return completed(f"weights: {config.out / FILES['weights']}", trained)
+    return final_state(f"weights: {config.out / FILES['weights']}", trained)
 
 
 def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Trained:

@@ -12,16 +12,17 @@ import pickle
 import queue
 import threading
 import traceback
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow as pa
 from prefect import task
 from prefect.cache_policies import NO_CACHE
 from prefect.futures import PrefectFuture
+from prefect.states import Cancelled, Completed, Failed, State
 from prefect.task_runners import TaskRunner
 
 from flows.runners.progress import Progress
@@ -30,11 +31,19 @@ from slgaussian.errors import SLGaussianError
 from slgaussian.io import write_atomic
 from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
+from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError, StoreError
 from tasks.context import Notify, RunContext, StageEvent, enclosing_run, run_context
+
+Result = TypeVar("Result")
 
 MAX_BATCH = 16
 """Largest number of scenes of a batch: with all stages cached a batch takes a second."""
+
+MIN_FAILURES = 20
+"""Number of scenes that may be left out, whatever share of the scenes that is."""
+
+MAX_NAMED = 50
+"""Largest number of scenes in the message of a state."""
 
 DEAD_WORKER_ERRORS = {
     "BrokenProcessPool",
@@ -100,13 +109,42 @@ class StoppedError(SLGaussianError):
     """Raised in a thread that still computes a scene when the run ends."""
 
 
+class TooManyFailuresError(SLGaussianError):
+    """More scenes were left out than ``max_failures`` allows; ``failures`` has them."""
+
+    def __init__(self, message: str, failures: Sequence[Failure]) -> None:
+        super().__init__(message)
+        self.failures = failures
+
+
+def state_after(
+    message: str, result: Result, left_out: Sequence[str], nothing_left: bool
+) -> State[Result]:
+    """Return the final state of a run or of a batch, whose message names what was left out.
+
+    Failed if nothing is left, ``LeftOut`` (of type Completed, for alerts) if something was left
+    out, else Completed.
+    """
+    names = list(dict.fromkeys(left_out))
+    if names:
+        rest = f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else ""
+        message += f"{'; ' * bool(message)}left out: {', '.join(names[:MAX_NAMED])}{rest}"
+    if nothing_left:
+        return Failed(message=message, data=result)
+    name = "LeftOut" if names else "Completed"
+    return Completed(name=name, message=message or None, data=result)
+
+
 @task(name="scenes", task_run_name="{label}", cache_policy=NO_CACHE, persist_result=False)
-def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
+def run_batch(label: str, pickled: bytes) -> State[list[SceneResult]]:
     """Run the pipelines of a batch of scenes sequentially.
+
+    The state is Failed if all were left out, ``LeftOut`` if some were.
 
     ``pickled`` are the store's root, the scene tasks, the number of workers and the stages to
     recompute. Arguments are pickled for threads too, so that all task runners behave alike. Events
-    are sent to the flow if it is in this process. DamagedError if a scene needs a damaged artifact.
+    are sent to the flow if it is in this process. DamagedError if a scene needs a damaged artifact,
+    StoreError if the store fails.
     """
     root, scene_tasks, workers, refresh = pickle.loads(pickled)
     store, enclosing = ArtifactStore(root), enclosing_run()
@@ -114,9 +152,13 @@ def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
     for scene_task in scene_tasks:
         events: list[StageEvent] = []
         notify = events.append if enclosing is None else enclosing.notify
-        refs, failure = compute_scene(scene_task, store, workers, notify, refresh)
+        try:
+            refs, failure = compute_scene(scene_task, store, workers, notify, refresh)
+        except StoppedError:
+            return Cancelled(message="the run has ended", data=results)
         results.append(SceneResult(scene_task.scene, refs, failure, events))
-    return results
+    lost = [result.scene for result in results if result.failure is not None]
+    return state_after("", results, lost, len(lost) == len(results))
 
 
 def compute_scene(
@@ -128,14 +170,14 @@ def compute_scene(
 ) -> tuple[dict[str, ArtifactRef], Failure | None]:
     """Return the refs of all stages, or of those before the one that failed, and its failure.
 
-    DamagedError if it needs a damaged artifact.
+    DamagedError if it needs a damaged artifact, StoreError if the store fails.
     """
     run = RunContext(store, scene_task.scene, workers, notify, refresh, stage=scene_task.first)
     try:
         with run_context(run):
             scene_task.pipeline(*scene_task.arguments)
         return run.refs, None
-    except (StoppedError, DamagedError):
+    except (StoppedError, DamagedError, StoreError):
         raise
     except (Exception, SystemExit) as error:  # other scenes continue after any error
         reason, trace = " ".join(str(error).split()) or type(error).__name__, ""
@@ -153,11 +195,14 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
 
     Raises:
         DamagedError: At the end, if a scene needs a damaged artifact.
+        StoreError: At once, if the store fails: each further scene would.
+        TooManyFailuresError: If more scenes are left out than ``workers.max_failures`` allows.
         SLGaussianError: If the task runner accepts no more work.
     """
     outcome = Outcome()
     damaged: DamagedError | None = None
     waiting = deque(scene_tasks)
+    total = len(waiting)
     retried_singly: deque[SceneTask] = deque()
     lost_before: set[str] = set()
     news: queue.SimpleQueue[StageEvent | PrefectFuture[Any]] = queue.SimpleQueue()
@@ -165,7 +210,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     stopped = threading.Event()
 
     def notify(event: StageEvent) -> None:
-        if stopped.is_set():
+        if stopped.is_set() and not event.message:  # between stages, whose tasks thus complete
             raise StoppedError("stopped")
         news.put(event)
 
@@ -219,19 +264,43 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
                     continue
                 scenes, runner = running.pop(event)
                 try:
-                    results = event.result()
+                    results = event.result(raise_on_failure=False)
+                    if isinstance(results, BaseException):
+                        raise results
                 except DamagedError as error:
                     damaged = error
+                except StoreError:
+                    raise
                 except Exception as error:  # each task runner has its own
                     retry(scenes, runner, error)
                 else:
                     collect(results)
+                check_failures(outcome, workers.max_failures, total)
         finally:
             stopped.set()
     if damaged is not None:
         raise damaged
     outcome.failures.sort(key=lambda failure: failure.scene)
     return outcome
+
+
+def check_failures(outcome: Outcome, max_failures: float, total: int) -> None:
+    """Raise TooManyFailuresError if more scenes were left out than a number, or a share below 1.
+
+    A share is one of the scenes that have ended, and allows :data:`MIN_FAILURES` in any case.
+    """
+    failures = outcome.failures
+    ended = len(failures) + len(outcome.refs)
+    allowed = max_failures if max_failures >= 1 else max(MIN_FAILURES, max_failures * ended)
+    if len(failures) > allowed and ended < total:
+        counts = Counter((failure.stage, failure.reason) for failure in failures)
+        (stage, reason), count = counts.most_common(1)[0]
+        raise TooManyFailuresError(
+            f"stopped: {len(failures)} of {ended} are left out, more than max_failures "
+            f"{max_failures:g} allows, {count} of them at {stage}: {reason}; remove the cause, or "
+            "raise max_failures, and run again: what is finished is in the store",
+            failures,
+        )
 
 
 def map_with_progress(

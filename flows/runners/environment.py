@@ -149,10 +149,10 @@ def perform(command: str, config: Any, verbose: bool = False) -> Any:
 
 
 def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
-    """Call a flow that ends in :func:`flows.runners.session.completed`; return its result.
+    """Call a flow that ends in :func:`flows.runners.session.final_state`; return its result.
 
-    If the server fails after the work is done, e.g. because its disk is full, only the final state
-    is lost.
+    Also if that state is Failed. If the server fails after the work is done, e.g. because its disk
+    is full, only the final state is lost.
 
     Raises:
         SLGaussianError: As the flow, and if the server fails before the work is done.
@@ -161,7 +161,8 @@ def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
 
     RESULTS.clear()
     try:
-        return flow(*arguments)
+        state = flow(*arguments, return_state=True)
+        return RESULTS[0] if RESULTS else state.result()
     except HTTPError as error:
         url, home = redacted(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
         failed = f"the Prefect server at {url} failed ({error})"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import signal
 import sys
 import threading
 import time
@@ -10,15 +12,27 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
+from uuid import UUID
 
 from prefect.artifacts import create_markdown_artifact, create_table_artifact
-from prefect.runtime import deployment
-from prefect.states import Completed, State
+from prefect.client.orchestration import get_client
+from prefect.client.schemas.filters import (
+    FlowRunFilter,
+    FlowRunFilterId,
+    TaskRunFilter,
+    TaskRunFilterState,
+    TaskRunFilterStateType,
+)
+from prefect.client.schemas.objects import StateType
+from prefect.events.worker import EventsWorker
+from prefect.logging.handlers import APILogHandler
+from prefect.runtime import deployment, flow_run
+from prefect.states import Cancelled, State
 
 from flows.runners import logger
-from flows.runners.batches import Failure
+from flows.runners.batches import Failure, TooManyFailuresError, state_after, write_failures
 from flows.runners.task_runners import NO_EVENTS
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError, SLGaussianError, did_you_mean
 from slgaussian.io import write_atomic
 from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.store import ArtifactStore, DamagedError
@@ -28,8 +42,8 @@ Result = TypeVar("Result")
 RESULTS: list[Any] = []
 """Result of the last flow of this process, even if the server has not received it."""
 
-MAX_NAMED = 50
-"""Largest number of scenes in the message of a state."""
+CLOSE_TIMEOUT = 5.0
+"""Longest time to wait for events on their way to the server when a run is stopped, seconds."""
 
 MAX_ROWS = 500
 """Largest number of rows of a table artifact, which Prefect shows on one page."""
@@ -39,7 +53,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
     """Do the work of a flow with its store, and repair damaged artifacts.
 
     An artifact that is found damaged is removed, and the work is repeated: that recomputes the
-    artifact and finds the others in the store.
+    artifact and finds the others in the store. A signal closes the tasks on an external server.
 
     Args:
         command: Name of the command, for provenance.
@@ -70,6 +84,16 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
                 )
                 logger.warning(message)
                 print(message, file=sys.stderr, flush=True)
+            except TooManyFailuresError as error:
+                write_failures(config.out, error.failures)
+                raise
+            except BaseException as error:
+                if not isinstance(error, Exception):  # a signal
+                    _close_tasks()
+                    if deployment.id is not None:
+                        # As Prefect does; functions of `atexit` come after the threads' end.
+                        threading._register_atexit(_exit_at_once)  # type: ignore[attr-defined]
+                raise
 
 
 def _exit_with_parent(parent: int) -> None:
@@ -79,16 +103,50 @@ def _exit_with_parent(parent: int) -> None:
     os._exit(1)
 
 
-def completed(
-    message: str, result: Result, failures: Sequence[Failure] = (), name: str = "Completed"
+def _close_tasks() -> None:
+    """Cancel the open tasks of this flow on an external server, since nobody waits for them."""
+    if NO_EVENTS in os.environ:
+        return
+    EventsWorker.drain_all(timeout=CLOSE_TIMEOUT)  # else a task that starts now may follow
+    try:
+        with get_client(sync_client=True) as client:
+            open_tasks = client.read_task_runs(
+                flow_run_filter=FlowRunFilter(id=FlowRunFilterId(any_=[UUID(flow_run.id)])),
+                task_run_filter=TaskRunFilter(
+                    state=TaskRunFilterState(
+                        type=TaskRunFilterStateType(any_=[StateType.PENDING, StateType.RUNNING])
+                    )
+                ),
+            )
+            for task_run in open_tasks:
+                state = Cancelled(message="the run was stopped")
+                client.set_task_run_state(task_run.id, state, force=True)
+    except Exception as error:  # the server may have stopped too
+        logger.warning("the tasks of the run stay open on the server: %s", error)
+
+
+def _exit_at_once() -> None:
+    """End the process before the interpreter waits for threads that still compute."""
+    logging.disable()  # what they log from now on is that the interpreter ends
+    EventsWorker.drain_all(timeout=CLOSE_TIMEOUT)
+    APILogHandler().flush()
+    os._exit(128 + signal.SIGTERM)
+
+
+def final_state(
+    message: str, result: Result, failures: Sequence[Failure] = (), nothing_left: bool = False
 ) -> State[Result]:
-    """Return the final state of a flow, whose message names scenes that were left out."""
-    names = list(dict.fromkeys(failure.scene for failure in failures))
-    if names:
-        rest = f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else ""
-        message += f"; left out: {', '.join(names[:MAX_NAMED])}{rest}"
-    RESULTS[:] = [result]
-    return Completed(name=name, message=message, data=result)
+    """Return the final state of a flow, by :func:`flows.runners.batches.state_after`."""
+    names = [failure.scene for failure in failures]
+    return final(state_after(message, result, names, nothing_left))
+
+
+def final(state: State[Result]) -> State[Result]:
+    """Record the result of a final state; one that is not Completed then raises its message."""
+    RESULTS[:] = [state.data]
+    if not state.is_completed():
+        state.data = SLGaussianError(state.message)
+    return state
 
 
 def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:

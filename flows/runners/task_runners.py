@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import multiprocessing
 import os
 import secrets
@@ -70,11 +71,13 @@ class Workers:
         store: Store of the results.
         count: Number of concurrent tasks.
         refresh: frozenset of str. Stages to recompute.
+        max_failures: Number of scenes that may be left out, or share if below 1.
     """
 
     store: ArtifactStore
     count: int
     refresh: frozenset[str]
+    max_failures: float
     runner: TaskRunner[Any]
     stack: ExitStack
 
@@ -98,7 +101,11 @@ class Workers:
 
 @contextmanager
 def open_workers(
-    name: str, count: int, store: ArtifactStore, refresh: frozenset[str] = frozenset()
+    name: str,
+    count: int,
+    store: ArtifactStore,
+    refresh: frozenset[str] = frozenset(),
+    max_failures: float = math.inf,
 ) -> Iterator[Workers]:
     """Open the task runner of a name, within a Prefect flow.
 
@@ -112,7 +119,7 @@ def open_workers(
     with ExitStack() as stack:
         try:
             runner = stack.enter_context(_task_runner(name, count))
-            workers = Workers(store, count, refresh, runner, stack)
+            workers = Workers(store, count, refresh, max_failures, runner, stack)
             if "://" in name:
                 _check_workers(name, workers)
             yield workers

@@ -66,6 +66,10 @@ class DamagedError(SpecError):
         return str(self.args[0])
 
 
+class StoreError(InputError):
+    """The store is full, gone, denied or does not answer, so no work on it can succeed."""
+
+
 @dataclass(frozen=True)
 class ArtifactRef:
     """A small, JSON-serialisable reference to an artifact.
@@ -141,7 +145,7 @@ class ArtifactStore:
 
         Raises:
             SpecError: If the content breaks ``data_specs/<spec>.toml``.
-            InputError: If the store cannot be written.
+            StoreError: If the store cannot be written.
         """
         digest, data = encode_artifact(spec, content, f"new {spec} artifact")
         ref = ArtifactRef(spec, address(spec, digest), digest, dict(meta or {}))
@@ -158,7 +162,7 @@ class ArtifactStore:
         Raises:
             DamagedError: If the file is missing, truncated, altered or breaks its spec. The message
                 has the file, the field, the actual and the expected value.
-            InputError: If a remote store does not answer.
+            StoreError: If a remote store does not answer.
         """
         self._check_address(ref)
         if self.cache is not None and (data := self.cache.get(ref.uri)) is not None:
@@ -223,7 +227,7 @@ class ArtifactStore:
 
         Raises:
             DamagedError: If the artifact is missing or damaged.
-            InputError: If a remote store does not answer.
+            StoreError: If a remote store does not answer.
             OSError: If the file cannot be written.
         """
         self._check_address(ref)
@@ -274,11 +278,11 @@ class ArtifactStore:
             raise self._damaged(uri, "nothing", "an artifact")
 
     def check_writable(self) -> None:
-        """Raise :class:`InputError` if the store cannot be written; call it before the work."""
+        """Raise :class:`StoreError` if the store cannot be written; call it before the work."""
         self.clock()
 
     def clock(self) -> float:
-        """Return the store's Unix time, from a new file; InputError if it cannot be written."""
+        """Return the store's Unix time, from a new file; StoreError if it cannot be written."""
         probe = f".probe-{uuid.uuid4().hex}"
         self.write(probe, b"")
         try:
@@ -287,7 +291,7 @@ class ArtifactStore:
             self.remove([probe])
 
     def write(self, uri: str, data: bytes) -> None:
-        """Write a file atomically; InputError if that fails."""
+        """Write a file atomically; StoreError if that fails."""
         path = f"{self.path}/{uri}"
 
         def write_file() -> None:
@@ -303,7 +307,7 @@ class ArtifactStore:
         self._ask("write", write_file)
 
     def remove(self, uris: Iterable[str]) -> None:
-        """Delete files; missing files are ignored. InputError if that fails."""
+        """Delete files; missing files are ignored. StoreError if that fails."""
 
         def remove_file(uri: str) -> None:
             if self.cache is not None:
@@ -317,7 +321,7 @@ class ArtifactStore:
     def walk(self, folders: Sequence[str] = ("",)) -> Iterator[list[File]]:
         """Yield the files in folders and their subfolders, one list for each folder.
 
-        Missing folders are ignored. InputError if the store cannot be read.
+        Missing folders are ignored. StoreError if the store cannot be read.
         """
         for start in range(0, len(folders), CONCURRENT_REQUESTS):
             for files, below in self.map(self._list, folders[start : start + CONCURRENT_REQUESTS]):
@@ -343,7 +347,7 @@ class ArtifactStore:
         request: Callable[[], Result],
         passed: type[Exception] | tuple[type[Exception], ...] = (),
     ) -> Result:
-        """Make a request; InputError with ``verb`` for its errors, except the types ``passed``."""
+        """Make a request; StoreError with ``verb`` for its errors, except the types ``passed``."""
         try:
             return request()
         except file_system_errors() as error:
@@ -354,7 +358,7 @@ class ArtifactStore:
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
                 hint = "; make room there (`slgaussian store gc`), and run again"
             message = f"store {self.root}: cannot {verb} there ({explain_error(error)}){hint}"
-            raise InputError(message) from error
+            raise StoreError(message) from error
 
     def _fetch_artifact(self, ref: ArtifactRef) -> tuple[bytes, Any]:
         expected = f"a {ref.spec} artifact"
