@@ -118,17 +118,18 @@ class TooManyFailuresError(SLGaussianError):
 
 
 def state_after(
-    message: str, result: Result, left_out: Sequence[str], nothing_left: bool
+    message: str, result: Result, failures: Sequence[Failure], nothing_left: bool
 ) -> State[Result]:
-    """Return the final state of a run or of a batch, whose message names what was left out.
+    """Return the final state of a run or of a batch; its message names failures and a reason.
 
     Failed if nothing is left, ``LeftOut`` (of type Completed, for alerts) if something was left
     out, else Completed.
     """
-    names = list(dict.fromkeys(left_out))
+    names = list(dict.fromkeys(failure.scene for failure in failures))
     if names:
         rest = f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else ""
         message += f"{'; ' * bool(message)}left out: {', '.join(names[:MAX_NAMED])}{rest}"
+        message += f" ({failures[0].stage}: {failures[0].reason})"
     if nothing_left:
         return Failed(message=message, data=result)
     name = "LeftOut" if names else "Completed"
@@ -157,7 +158,7 @@ def run_batch(label: str, pickled: bytes) -> State[list[SceneResult]]:
         except StoppedError:
             return Cancelled(message="the run has ended", data=results)
         results.append(SceneResult(scene_task.scene, refs, failure, events))
-    lost = [result.scene for result in results if result.failure is not None]
+    lost = [result.failure for result in results if result.failure is not None]
     return state_after("", results, lost, len(lost) == len(results))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import signal
@@ -85,7 +86,8 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
                 logger.warning(message)
                 print(message, file=sys.stderr, flush=True)
             except TooManyFailuresError as error:
-                write_failures(config.out, error.failures)
+                with writing(config.out):
+                    write_failures(config.out, error.failures)
                 raise
             except BaseException as error:
                 if not isinstance(error, Exception):  # a signal
@@ -137,8 +139,7 @@ def final_state(
     message: str, result: Result, failures: Sequence[Failure] = (), nothing_left: bool = False
 ) -> State[Result]:
     """Return the final state of a flow, by :func:`flows.runners.batches.state_after`."""
-    names = [failure.scene for failure in failures]
-    return final(state_after(message, result, names, nothing_left))
+    return final(state_after(message, result, failures, nothing_left))
 
 
 def final(state: State[Result]) -> State[Result]:
@@ -166,8 +167,11 @@ def writing(out: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        reason = error.strerror or error
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            reason = f"the disk of the output folder is full: {reason}"
         raise InputError(
-            f"{out}: cannot write the results ({error.strerror or error}); they are kept in the "
+            f"{out}: cannot write the results ({reason}); they are kept in the "
             "store, so make room there, or choose another folder with -o, and run again"
         ) from error
 

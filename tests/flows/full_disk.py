@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tiny_run import run_tiny, three_scenes
 
-from slgaussian.storage.store import ArtifactStore
+from slgaussian.storage.store import ArtifactStore, StoreError
 
 disk = Path(sys.argv[1])
 subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", disk], check=True)
@@ -25,13 +25,15 @@ for pages_left in (0, 12, None):
         except OSError as error:
             assert error.errno == errno.ENOSPC
             file.truncate(file.tell() - 4096 * pages_left)
-    outcome = run_tiny(store, three_scenes(disk.parent / "log"), 1)
+    refs, stopped = {}, ""
+    try:
+        refs = run_tiny(store, three_scenes(disk.parent / "log"), 1).refs
+    except StoreError as error:
+        stopped = str(error)
     told.append(
         {
-            "refs": {
-                s: {k: r.digest for k, r in output.items()} for s, output in outcome.refs.items()
-            },
-            "failures": [failure.reason for failure in outcome.failures],
+            "refs": {s: {k: r.digest for k, r in output.items()} for s, output in refs.items()},
+            "stopped": stopped,
             "unfinished": [str(file) for file in disk.rglob("*.tmp")],
         }
     )

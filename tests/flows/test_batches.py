@@ -1,15 +1,23 @@
 import io
+import pickle
 from pathlib import Path
 from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
 from tiny_run import run_tiny, tiny
+from tiny_stages import tiny_pipeline
 
-from flows.runners.batches import write_failures
+from flows.runners.batches import (
+    MAX_BATCH,
+    SceneTask,
+    TooManyFailuresError,
+    run_batch,
+    write_failures,
+)
 from flows.runners.session import stages_to_refresh
 from slgaussian.errors import InputError
-from slgaussian.storage.store import ArtifactStore, DamagedError
+from slgaussian.storage.store import ArtifactStore, DamagedError, StoreError
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -119,6 +127,48 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     assert "value: set {1, 2} cannot be part of a cache key" in unkeyable["reason"]
     assert "bad  left out at make: value -1" in view.getvalue()
     assert "Traceback" not in view.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("bad", "limit", "stops"),
+    [(3, 0.5, 0), (25, 0.5, 21), (25, 30, 0), (25, 2, 3), (30, 0.9, 21), (30, 1e9, 0)],
+)
+def test_a_run_stops_when_more_is_left_out_than_allowed(store, tmp_path, bad, limit, stops):
+    log = tmp_path / "log"
+    scenes = {f"{k:02d}": tiny(-1 if k < bad else 4, 1, log) for k in range(32)}
+    if not stops:
+        outcome = run_tiny(store, scenes, 1, max_failures=limit)
+        assert len(outcome.failures) == bad and len(outcome.refs) == 32 - bad
+        return
+    with pytest.raises(TooManyFailuresError, match=r"stopped: .* value -1: expected") as stopped:
+        run_tiny(store, scenes, 1, max_failures=limit)
+    assert stops <= len(stopped.value.failures) < stops + MAX_BATCH
+
+
+@pytest.mark.parametrize("runner", ["threads", "processes"])
+def test_a_store_that_fails_stops_the_run_at_its_first_scene(store, tmp_path, runner):
+    log = tmp_path / "log"
+    scenes = {f"{k}": tiny(4 + k, 1, log) for k in range(8)}
+    Path(store.path).mkdir()
+    (Path(store.path) / "labels").write_text("in the way of the folder")
+    with pytest.raises(StoreError, match="cannot write there"):
+        run_tiny(store, scenes, 1, runner=runner)
+    assert log.read_text().splitlines() == ["0 make"]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "state"), [([4, 6], "Completed"), ([-1, 4], "LeftOut"), ([-1, -1], "Failed")]
+)
+def test_a_batch_has_the_state_of_its_scenes(store, tmp_path, kinds, state):
+    tasks = [
+        SceneTask(f"{k}", tiny_pipeline, tiny(value, 1, tmp_path / "log"), "make")
+        for k, value in enumerate(kinds)
+    ]
+    batch = pickle.dumps((store.root, tasks, 1, frozenset()))
+    ended = run_batch("batch", batch, return_state=True)
+    assert ended.name == state and ended.is_failed() == (state == "Failed")
+    assert len(ended.result(raise_on_failure=False)) == 2
+    assert ("left out: 0" in (ended.message or "")) == (state != "Completed")
 
 
 def test_no_more_scenes_than_workers_are_open_at_once(store, tmp_path):

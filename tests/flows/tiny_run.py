@@ -1,6 +1,7 @@
 """A flow of tiny stages: called by tests, and run as a program by tests that kill it."""
 
 import io
+import math
 import sys
 from pathlib import Path
 
@@ -21,6 +22,7 @@ def run_tiny(
     runner: str = "threads",
     progress: Progress | None = None,
     refresh: tuple[str, ...] = (),
+    max_failures: float = math.inf,
 ):
     """Run ``{scene: arguments of its pipeline}``; returns the outcome."""
     from tiny_flow import WORK, tiny_flow
@@ -38,7 +40,7 @@ def run_tiny(
             SceneTask(scene, tiny_pipeline, arguments, first="make")
             for scene, arguments in scenes.items()
         ]
-        with open_workers(runner, workers, store, frozenset(refresh)) as opened:
+        with open_workers(runner, workers, store, frozenset(refresh), max_failures) as opened:
             return map_scenes(scene_tasks, opened, progress)
 
     WORK.append(work)
