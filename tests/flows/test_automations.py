@@ -4,6 +4,7 @@ import http.server
 import json
 import os
 import queue
+import shutil
 import signal
 import socket
 import subprocess
@@ -19,6 +20,8 @@ from prefect.settings import PREFECT_API_URL, temporary_settings
 from flows.automations import apply_automations, read_automations
 
 pytestmark = pytest.mark.whole
+
+ROOT = Path(__file__).parents[2]
 
 ROOM = """
 [[scenes]]
@@ -72,7 +75,8 @@ def full_server(tmp_path_factory, alerts):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     url = f"http://127.0.0.1:{port}/api"
-    env = {name: value for name, value in os.environ.items() if not name.startswith("SLGAUSSIAN_")}
+    ours = "SLGAUSSIAN_", "PREFECT_"  # set by other tests
+    env = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
     env |= {"PREFECT_HOME": str(home), "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
     env |= {"PREFECT_API_URL": url, "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30"}
     command = [sys.executable, "-m", "prefect", "server", "start", "--port", str(port)]
@@ -122,7 +126,7 @@ def start(env, folder, *rooms) -> subprocess.Popen:
     (folder / "run.toml").write_text("".join(ROOM.format(*room) for room in rooms))
     program = "from flows.cli.app import main; main()"
     command = [sys.executable, "-c", program, "run", "run.toml", "-o", "out"]
-    env = {**env, "PYTHONPATH": str(Path(__file__).parents[2])}
+    env = {**env, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, cwd=folder, env=env)
 
 
@@ -141,7 +145,7 @@ def test_a_run_that_left_scenes_out_tells_the_webhook(full_server, alerts, tmp_p
 
 
 def test_outcomes_to_look_at_tell_the_webhook_and_others_do_not(full_server, alerts):
-    env = {**full_server, "PYTHONPATH": str(Path(__file__).parents[2])}
+    env = {**full_server, "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, "-c", STATES], env=env, check=True, timeout=120)
     states = set()
     while not states >= {"Refused", "Regressed"}:
@@ -159,3 +163,33 @@ def test_a_killed_run_is_marked_as_crashed_and_tells_the_webhook(full_server, al
     run.wait()
     assert "no heartbeat" in receive(alerts, "Crashed")["message"]
     assert httpx.post(runs, json=running).json() == []
+
+
+def test_a_cancelled_run_closes_its_tasks_and_logs_no_traceback(full_server, tmp_path):
+    """Cancelled as from Prefect's page, in a worker's process, while threads compute stages."""
+    env = {**full_server, "PYTHONPATH": str(ROOT)}
+    shutil.copy(ROOT / "prefect.yaml", tmp_path)
+    prefect = [sys.executable, "-m", "prefect"]
+    for words in ("work-pool create slgaussian --type process", "--no-prompt deploy --name report"):
+        subprocess.run([*prefect, *words.split()], cwd=tmp_path, env=env, check=True, timeout=120)
+    api = httpx.Client(base_url=full_server["PREFECT_API_URL"], timeout=60)
+    with (tmp_path / "log").open("wb") as log:
+        command = [*prefect, "worker", "start", "--pool", "slgaussian"]
+        worker = subprocess.Popen(command, cwd=tmp_path, env=env, stdout=log, stderr=log)
+    try:
+        deployment = api.get("/deployments/name/slgaussian/report").json()["id"]
+        config = {"rooms": "0-9", "out": str(tmp_path / "out"), "store": str(tmp_path / "store")}
+        ordered = {"parameters": {"config": config}}
+        run = api.post(f"/deployments/{deployment}/create_flow_run", json=ordered).json()["id"]
+        of_run = {"flow_runs": {"id": {"any_": [run]}}}
+        open_tasks = {**of_run, "task_runs": {"state": {"type": {"any_": ["PENDING", "RUNNING"]}}}}
+        wait(lambda: len(api.post("/task_runs/filter", json=open_tasks).json()) > 2, 120)
+        cancel = {"state": {"type": "CANCELLING"}}
+        assert api.post(f"/flow_runs/{run}/set_state", json=cancel).is_success
+        wait(lambda: api.get(f"/flow_runs/{run}").json()["state_type"] == "CANCELLED", 90)
+        wait(lambda: api.post("/task_runs/filter", json=open_tasks).json() == [], 30)
+    finally:
+        worker.send_signal(signal.SIGINT)
+        worker.wait(timeout=60)
+    text = (tmp_path / "log").read_text()
+    assert "was cancelled" in text and "Traceback" not in text, text
