@@ -47,13 +47,7 @@ from flows.scenes import DATASET, PATH_SUBDIVISIONS, labelled_scenes, room_scene
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.outputs import (
-    clear_predictions,
-    write_costs,
-    write_predictions,
-    write_samples,
-    write_table,
-)
+from slgaussian.benchmark.outputs import mask_writer, write_costs, write_samples, write_table
 from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
@@ -254,14 +248,14 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
     out = settings.out
     write_failures(out, computed.failures)
     results, costs = [], []
-    for _, ref, seconds in computed.answers:
-        arrays = store.get(ref)
-        result = result_from_arrays(arrays)
-        write_predictions(result.rows, predictions_of(arrays), out / "predictions")
-        results.append(result)
-        costs += [{**row, "build_seconds": seconds} for row in ref.meta["costs"]]
+    with mask_writer(out) as add_masks:
+        for _, ref, seconds in computed.answers:
+            arrays = store.get(ref)
+            result = result_from_arrays(arrays)
+            add_masks(result.method, result.scene, predictions_of(arrays))
+            results.append(result)
+            costs += [{**row, "build_seconds": seconds} for row in ref.meta["costs"]]
     rows = [row for result in results for row in result.rows]
-    clear_predictions(rows, out)
     write_samples(rows, out)
     write_costs(costs, out)
     lost = [store.get(scored.attribution) for scored in computed.scored]

@@ -23,10 +23,10 @@ from slgaussian.benchmark.external_predictions import (
     read_predictions,
     score_predictions,
 )
-from slgaussian.benchmark.outputs import clear_predictions, write_predictions, write_samples
-from slgaussian.benchmark.pictures import encode_png
+from slgaussian.benchmark.outputs import mask_writer, write_samples
 from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.errors import InputError
+from slgaussian.formats import rle
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
     results, masks = [], []
     for result in score_predictions(predictions, judged, chosen):
-        masks.append({key: encode_png(mask) for key, mask in result.predictions.items()})
+        masks.append({key: rle.encode(mask) for key, mask in result.predictions.items()})
         results.append(replace(result, predictions={}))
     if not predictions.used:
         listed = ", ".join(predictions.unused[:3])
@@ -81,15 +81,9 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
         )
     check_folder(out)
     rows = [row for result in results for row in result.rows]
-    selected = [
-        row
-        for result, predicted in zip(results, masks, strict=True)
-        for row in result.rows
-        if (row["protocol"], row["frame"], row["query"]) in predicted
-    ]
-    clear_predictions(selected, out)
-    for result, predicted in zip(results, masks, strict=True):
-        write_predictions(result.rows, predicted, out / "predictions")
+    with mask_writer(out) as add_masks:
+        for result, predicted in zip(results, masks, strict=True):
+            add_masks(result.method, result.scene, predicted)
     write_samples(rows, out)
     return Scores(results, predictions, messages)
 

@@ -15,6 +15,7 @@ from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
+from slgaussian.formats import rle
 from slgaussian.formats.images import opened
 from slgaussian.formats.resampling import Window
 from slgaussian.labels import LabelMaps
@@ -208,15 +209,17 @@ def get_field(
 
 def result_to_arrays(result: SceneResult) -> Arrays:
     """Convert a scene's result to spec ``scene_result``, without its volatile timings."""
-    prediction_ends, prediction_png = _pack(map(_png, result.predictions.values()))
+    masks = list(map(rle.encode, result.predictions.values()))
+    prediction_ends, prediction_counts = _pack(mask.counts.encode() for mask in masks)
     picture_ends, picture_png = _pack(map(_png, result.pictures.values()))
     return {
         **{name: np.array(getattr(result, name)) for name in ("scene", "dataset", "method")},
         "rows": np.array(json.dumps(result.rows, allow_nan=False)),
         "metrics": np.array(json.dumps(result.scene_metrics, allow_nan=False)),
         "prediction_names": np.array(list(result.predictions), np.str_).reshape(-1, 3),
+        "prediction_sizes": np.array([mask[:2] for mask in masks], np.int64).reshape(-1, 2),
         "prediction_ends": prediction_ends,
-        "prediction_png": prediction_png,
+        "prediction_counts": prediction_counts,
         "picture_names": np.array(list(result.pictures), np.str_),
         "picture_ends": picture_ends,
         "picture_png": picture_png,
@@ -236,11 +239,13 @@ def result_from_arrays(arrays: Arrays) -> SceneResult:
     )
 
 
-def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], bytes]:
-    """Return the predicted masks of spec ``scene_result`` as PNG by protocol, frame, query."""
+def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], rle.RunLengths]:
+    """Return the predicted masks of spec ``scene_result`` by protocol, frame, query."""
     keys = [tuple(names) for names in arrays["prediction_names"].tolist()]
-    blobs = _unpack(arrays["prediction_ends"], arrays["prediction_png"])
-    return dict(zip(keys, blobs, strict=True))
+    counts = _unpack(arrays["prediction_ends"], arrays["prediction_counts"])
+    sizes = arrays["prediction_sizes"].tolist()
+    masks = (rle.RunLengths(*size, c.decode()) for size, c in zip(sizes, counts, strict=True))
+    return dict(zip(keys, masks, strict=True))
 
 
 def pictures_of(arrays: Arrays) -> dict[str, bytes]:

@@ -39,7 +39,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("benchmark", version=15)
+@stage("benchmark", version=16)
 def benchmark(
     run: RunContext,
     sample: ArtifactRef,
@@ -93,7 +93,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     return max(candidates, key=lambda candidate: candidate[:2])[2] if candidates else None
 
 
-@stage("baselines", version=9)
+@stage("baselines", version=10)
 def baselines(
     run: RunContext,
     sample: ArtifactRef,
@@ -201,5 +201,5 @@ def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
         metrics=ours.scene_metrics,
         pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
-        masks=lambda: decoded(predictions_of(store.get(scored.answer))),
+        masks=lambda: {k: m.decode() for k, m in predictions_of(store.get(scored.answer)).items()},
     )

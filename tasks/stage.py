@@ -3,7 +3,8 @@
 The cache key is a canonical form of all inputs. Results are not persisted by Prefect: its records
 name the code that deserialises them, including pickle, whatever serializer a task has, so that
 write access to the store would allow code execution. Records are in
-:mod:`slgaussian.storage.records` instead, and a cached stage ends in the Prefect state ``Cached``.
+:mod:`slgaussian.storage.records` instead. They are looked up first: only a stage that is computed
+has a Prefect task, which costs the server's database 25 kB.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from typing import Any
 
 from prefect import Task
 from prefect.cache_policies import NO_CACHE
-from prefect.states import Completed, State
 from prefect.utilities.annotations import quote
 
 from slgaussian.components.component import Component
@@ -101,7 +101,8 @@ class Stage:
     """A cached function from small arguments to one artifact, made by :func:`stage`.
 
     It is called with all parameters of the function except the first, the :class:`RunContext`.
-    Artifacts are passed as :class:`ArtifactRef`, so that Prefect's graph has edges between stages.
+    Artifacts are passed as :class:`ArtifactRef`, so that Prefect's graph has edges between the
+    stages that are computed.
     External files and components are passed as objects with an identity
     (:func:`tasks.stage.canonical`).
 
@@ -118,7 +119,7 @@ class Stage:
         self.compute, self.name, self.version = compute, name, version
         self.signature = inspect.signature(compute)
         self.task = Task(
-            self._find_or_compute,
+            self._compute_and_record,
             name=name,
             task_run_name=lambda: f"{name} of {current_run().scene}",
             cache_policy=NO_CACHE,
@@ -142,31 +143,28 @@ class Stage:
         bound = self.signature.bind(run, *args, **kwargs)
         bound.apply_defaults()
         arguments = dict(list(bound.arguments.items())[1:])
+        run.key = cache_key(self.name, self.version, arguments)
         start = time.perf_counter()
         refs = list(refs_in(arguments))
-        edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
-        result = self.task(edges, quote(refs), quote(arguments))  # type: ignore[call-overload]
-        cached = isinstance(result, State)
-        stage_result = result.result() if cached else result
-        run.refs[self.name] = ref = stage_result.ref
-        run.results[ref.digest] = stage_result
-        state, seconds = "cached" if cached else "completed", time.perf_counter() - start
+        refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
+        stored = None if refresh else Records(run.store).find(run.key)
+        if stored is None:
+            edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
+            result = self.task(edges, quote(arguments), refresh)  # type: ignore[call-overload]
+            run.results[result.ref.digest] = result
+        run.refs[self.name] = ref = result.ref if stored is None else stored
+        state = "completed" if stored is None else "cached"
+        seconds = time.perf_counter() - start
         run.notify(StageEvent(run.scene, self.name, state, seconds=seconds))
         return ref
 
-    def _find_or_compute(
-        self, inputs: list[StageResult], refs: list[ArtifactRef], arguments: dict[str, Any]
-    ) -> State | StageResult:
-        """Run as a Prefect task: ``inputs`` are for its graph, ``refs`` those in the arguments."""
+    def _compute_and_record(
+        self, inputs: list[StageResult], arguments: dict[str, Any], refresh: bool
+    ) -> StageResult:
+        """Run as a Prefect task, with ``inputs`` for its graph."""
         run = current_run()
-        run.key = cache_key(self.name, self.version, arguments)
-        records = Records(run.store)
-        refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
-        if not refresh and (stored := records.find(run.key)) is not None:
-            message = "found in the store"
-            return Completed(name="Cached", message=message, data=StageResult(stored))
         ref = self._computed(run, arguments)
-        records.keep(run.key, ref)
+        Records(run.store).keep(run.key, ref)
         if refresh:
             ref = replace(ref, meta={**ref.meta, "refreshed": True})
         return StageResult(ref)

@@ -143,7 +143,7 @@ def office(recorder: Recorder, data: Path | None) -> None:
     recorder.run(
         "score",
         "score",
-        "office/out/predictions",
+        "office/out/masks.parquet",
         *source,
         "-o",
         "office/score",

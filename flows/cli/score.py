@@ -18,7 +18,7 @@ MAX_NAMED = 3
 @options.configured(*options.LABELLED_SET, "size")
 def score(
     ctx: typer.Context,
-    predictions: Annotated[Path, typer.Argument(help="Folder of masks, or a JSON file.")],
+    predictions: Annotated[Path, typer.Argument(help="Masks: folder, Parquet or JSON file.")],
     protocols: Annotated[
         list[str] | None,
         typer.Option("--protocol", help="slgaussian, langsplat, langsplat-rescaled or 3d-ovs."),
@@ -27,10 +27,10 @@ def score(
 ) -> None:
     """Score your masks as `benchmark` scores its own.
 
-    Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or a JSON file of COCO run-length
-    encodings. A missing mask counts as empty. Without --pairs, the queries of each labelled frame
-    are its labels; without --protocol, all protocols in the folder are scored. Writes tables and
-    masks as `benchmark` does, which `compare` reads.
+    Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or COCO run-length encodings in a
+    JSON file or in the masks.parquet of a run. A missing mask counts as empty. Without --pairs, the
+    queries of each labelled frame are its labels; without --protocol, all protocols in the folder
+    are scored. Writes tables and masks as `benchmark` does, which `compare` reads.
 
     \b
     slgaussian score masks --data office --pairs office/pairs.json --labels office/labels -o mine

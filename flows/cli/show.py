@@ -215,7 +215,9 @@ def view(
 def export(
     ctx: typer.Context,
     folder: options.Folder,
-    out: Annotated[Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz; folder for masks.")
+    ],
     texts: Annotated[
         list[str] | None,
         typer.Option("--text", help="Further text that a page answers; may be repeated."),
@@ -226,11 +228,13 @@ def export(
     A page (.html) opens from disk in any browser, without a network, with queries and object
     selection. It contains small copies of the photographs. A .ply has all data: each Gaussian also
     has its ID code and weight (f_sem_0 and on), its source pixel (source), and its object (label, 0
-    for none). A .spz stores Gaussians in fewer bytes.
+    for none). A .spz stores Gaussians in fewer bytes. The masks.parquet of a run becomes a folder
+    of PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png.
 
     \b
     slgaussian export field/ -o scene.html
     slgaussian export field/ -o scene.spz
+    slgaussian export results/masks.parquet -o masks
     """
     from flows.cli.open_field import open_field
     from slgaussian.field import SemanticField
@@ -239,6 +243,11 @@ def export(
     from slgaussian.io import write_file
     from slgaussian.viewer.page.scene_page import scene_page
 
+    if folder.suffix == ".parquet" and not texts:
+        from slgaussian.benchmark.outputs import export_masks
+
+        typer.echo(f"{out}: {export_masks(folder, out)} masks")
+        return
     suffix = out.suffix.lower()
     if suffix not in EXPORTS:
         raise InputError(

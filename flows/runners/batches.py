@@ -140,7 +140,8 @@ def state_after(
 def run_batch(label: str, pickled: bytes) -> State[list[SceneResult]]:
     """Run the pipelines of a batch of scenes sequentially.
 
-    The state is Failed if all were left out, ``LeftOut`` if some were.
+    The state is Failed if all were left out, ``LeftOut`` if some were, and ``Cached`` (of type
+    Completed) if nothing was computed: stages that are found in the store have no tasks.
 
     ``pickled`` are the store's root, the scene tasks, the number of workers and the stages to
     recompute. Arguments are pickled for threads too, so that all task runners behave alike. Events
@@ -149,17 +150,27 @@ def run_batch(label: str, pickled: bytes) -> State[list[SceneResult]]:
     """
     root, scene_tasks, workers, refresh = pickle.loads(pickled)
     store, enclosing = ArtifactStore(root), enclosing_run()
+    events: list[StageEvent] = []
+    computed: set[str] = set()
     results = []
+
+    def notify(event: StageEvent) -> None:
+        if event.state in ("completed", "failed"):
+            computed.add(event.scene)
+        (events.append if enclosing is None else enclosing.notify)(event)
+
     for scene_task in scene_tasks:
-        events: list[StageEvent] = []
-        notify = events.append if enclosing is None else enclosing.notify
+        events = []
         try:
             refs, failure = compute_scene(scene_task, store, workers, notify, refresh)
         except StoppedError:
             return Cancelled(message="the run has ended", data=results)
         results.append(SceneResult(scene_task.scene, refs, failure, events))
+    message = f"{len(results) - len(computed)} of {len(results)} found in the store"
+    if not computed:
+        return Completed(name="Cached", message=message, data=results)
     lost = [result.failure for result in results if result.failure is not None]
-    return state_after("", results, lost, len(lost) == len(results))
+    return state_after(message, results, lost, len(lost) == len(results))
 
 
 def compute_scene(

@@ -1,7 +1,9 @@
-"""Score masks of other programs: a folder of PNG files, or a JSON file of run lengths.
+"""Score masks of other programs: PNG files, or run lengths in Parquet or JSON.
 
-A folder has the layout of a benchmark's masks, ``<method>/<protocol>/<scene>/<frame>/<query>.png``
-(:func:`slgaussian.benchmark.outputs.mask_paths`), white inside the mask. A JSON file is a list of
+A Parquet file is the ``masks.parquet`` of a run, or another of spec ``masks``; its folder may be
+given too. PNG files, white inside the mask, are in a folder as
+``<method>/<protocol>/<scene>/<frame>/<query>.png``
+(:func:`slgaussian.benchmark.outputs.mask_paths`). A JSON file is a list of
 masks, each scored by every protocol::
 
     [{"method": "mine", "scene": "desk", "frame": "0007.png", "query": "red mug",
@@ -30,7 +32,7 @@ from slgaussian.benchmark.annotations import Truth, boxes_of
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult, score_frame
-from slgaussian.benchmark.outputs import file_name
+from slgaussian.benchmark.outputs import file_name, read_masks
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, ScoringProtocol
 from slgaussian.benchmark.scores import of_first_protocol, scene_means
 from slgaussian.checks import matching, name_parts, namesakes
@@ -157,14 +159,18 @@ class JudgedScene:
 
 
 def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predictions:
-    """Read the masks of a folder, whose files are opened later, or of a JSON file.
+    """Read the masks of a folder, whose PNG files are opened later, or of a file.
 
-    From a folder, only those of ``protocols`` are read, if given.
+    From a folder or a Parquet file, only those of ``protocols`` are read, if given.
 
     Raises:
         InputError: If there are no masks, or a JSON file is damaged or has another structure.
     """
     place = Path(place)
+    if (place / "masks.parquet").is_file():
+        place = place / "masks.parquet"
+    if place.suffix == ".parquet":
+        return Predictions(place, _read_table(place, protocols or SCORABLE))
     if not place.is_dir():
         return Predictions(place, _read_file(place))
     root = place / "predictions" if (place / "predictions").is_dir() else place
@@ -178,7 +184,7 @@ def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predic
     if not masks:
         raise InputError(
             f"{root}: holds no mask of {' or '.join(protocols or SCORABLE)}; expected "
-            "<method>/<protocol>/<scene>/<frame>/<query>.png, or a JSON file of masks"
+            "<method>/<protocol>/<scene>/<frame>/<query>.png, a masks.parquet or a JSON file"
         )
     return Predictions(root, masks)
 
@@ -297,6 +303,27 @@ def _read_png(file: Path, height: int, width: int) -> np.ndarray:
     return mask
 
 
+def _read_table(file: Path, protocols: Sequence[str]) -> dict[Key, Prediction]:
+    masks: dict[Key, Prediction] = {}
+    for row in read_masks(file):
+        protocol, names = row["protocol"].partition("@")[0], (row["scene"], row["frame"])
+        if protocol in protocols:
+            place = f"{file}: {_describe(*names, row['query'])}"
+            key = row["method"], protocol, *names, row["query"]
+            masks[key] = Prediction(place, partial(_decode, row["mask"], place))
+    if not masks:
+        raise InputError(f"{file}: holds no mask of {' or '.join(protocols)}; expected some")
+    return masks
+
+
+def _decode(mask: rle.RunLengths, place: str, height: int, width: int) -> np.ndarray:
+    _check_size(place, mask[:2], height, width)  # before allocating an array of that size
+    try:
+        return mask.decode()
+    except ValueError as error:
+        raise InputError(f"{place}: {error}; write the mask again") from None
+
+
 def _check_size(place: str, size: Sequence[int], height: int, width: int) -> None:
     if tuple(size) != (height, width):
         h, w = size
@@ -321,11 +348,7 @@ class _Entry(BaseModel):
     point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
     def read(self, place: str, height: int, width: int) -> np.ndarray:
-        _check_size(place, self.size, height, width)  # before allocating an array of that size
-        try:
-            mask = rle.decode(self.counts, height, width)
-        except ValueError as bad:
-            raise InputError(f"{place}: {bad}; write the mask again") from None
+        mask = _decode(rle.RunLengths(*self.size, self.counts), place, height, width)
         x, y = self.point or (0.0, 0.0)
         # In the first pixel only a mask there confirms that these are not fractions.
         is_fraction = 0 < max(x, y) <= 1 and mask.any() and not mask[:2, :2].any()

@@ -1,4 +1,4 @@
-"""Output files of a benchmark: tables and masks, which `slgaussian score` can read.
+"""Output files of a benchmark: tables, also of masks, which `slgaussian score` can read.
 
 Same results give the same bytes. Costs of answers, which are not reproducible, are in a table of
 their own.
@@ -9,22 +9,32 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
+from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.scores import score_table
 from slgaussian.checks import name_parts
 from slgaussian.errors import InputError
-from slgaussian.io import write_atomic
-from slgaussian.storage.encoding import encode_table
+from slgaussian.formats.rle import RunLengths
+from slgaussian.io import atomic_path, write_atomic
+from slgaussian.storage.encoding import decode_table, encode_table
+from slgaussian.storage.provenance import with_provenance
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.tables import read_table
 
 Row = Mapping[str, Any]
+Masks = Mapping[tuple[str, str, str], RunLengths]
+"""Masks by protocol (name@version), frame and query."""
+
+MASKS_IN_MEMORY = 10_000
+"""Number of masks that are written at once."""
+
+REPAIR = "run the command again that wrote it"
 
 _DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{d}{n}" for d in ("COM", "LPT") for n in range(10))}
 """Reserved file names on Windows, with any suffix."""
@@ -54,36 +64,60 @@ def write_table(name: str, table: pa.Table, out: str | Path) -> None:
     write_file(file, encode_table(table, spec))
 
 
-def write_predictions(
-    rows: Sequence[Row], predictions: Mapping[tuple[str, str, str], bytes], out: str | Path
-) -> None:
-    """Write every mask into folder ``out``, at the path of its row (:func:`mask_paths`).
+@contextmanager
+def mask_writer(out: str | Path) -> Iterator[Callable[[str, str, Masks], None]]:
+    """Yield a function that adds masks of a method and a scene to ``masks.parquet`` in ``out``.
 
-    ``predictions`` are PNG files by the protocol, frame and query of ``rows``.
+    Spec ``masks``. The file replaces that of an earlier run at the end of the block; a part of it
+    is in memory.
+
+    Raises:
+        InputError: If the file cannot be written.
     """
+    spec, rows = load_spec("masks"), list[dict[str, Any]]()
+    file = Path(out) / spec.file
+    with _writing(file), atomic_path(file) as temporary:
+        schema = with_provenance(spec.schema)
+        with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
+
+            def write() -> None:
+                table = pa.Table.from_pylist(rows, schema=schema)
+                spec.check_table(table, str(file))
+                writer.write_table(table)
+                rows.clear()
+
+            def add(method: str, scene: str, masks: Masks) -> None:
+                for (protocol, frame, query), mask in masks.items():
+                    names = {"method": method, "protocol": protocol, "scene": scene}
+                    rows.append({**names, "frame": frame, "query": query, **mask._asdict()})
+                if len(rows) >= MASKS_IN_MEMORY:
+                    write()
+
+            yield add
+            write()
+
+
+def export_masks(file: Path, out: Path) -> int:
+    """Write the masks of a ``masks.parquet`` as PNG files into folder ``out``; return their number.
+
+    At :func:`mask_paths`, one bit per pixel. InputError if they cannot be read or written.
+    """
+    rows = read_masks(file)
     for row, path in zip(rows, mask_paths(rows), strict=True):
-        png = predictions.get((row["protocol"], row["frame"], row["query"]))
-        if png is not None:
-            write_file(Path(out, path), png)
+        write_file(out / path, encode_png(row["mask"].decode()))
+    return len(rows)
 
 
-def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
-    """Delete the masks of an earlier run in folder ``out`` that are not in ``rows`` of this run.
+def read_masks(file: Path) -> list[dict[str, Any]]:
+    """Read a ``masks.parquet`` as rows with ``mask`` in place of the columns of run lengths.
 
-    They are those of the earlier ``samples.parquet``, so call this before :func:`write_samples`.
+    InputError if it cannot be read.
     """
-    out = Path(out)
-    columns = "method", "protocol", "scene", "frame", "query"
     try:
-        earlier = read_table(out / "samples.parquet", columns).to_pylist()
-        obsolete = {*mask_paths(earlier)} - {*mask_paths(rows)}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
-        return
-    for path in obsolete:
-        (out / "predictions" / path).unlink(missing_ok=True)
-        for folder in list(path.parents)[:-1]:
-            with suppress(OSError):  # not empty, or missing
-                (out / "predictions" / folder).rmdir()
+        rows = decode_table(file.read_bytes(), load_spec("masks"), str(file), REPAIR).to_pylist()
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); expected masks") from error
+    return [row | {"mask": RunLengths(*map(row.pop, RunLengths._fields))} for row in rows]
 
 
 def mask_paths(rows: Sequence[Row]) -> list[Path]:
@@ -118,9 +152,15 @@ def file_name(text: str) -> str:
 
 def write_file(path: Path, data: bytes) -> None:
     """Write a file, and create its folders; InputError if it cannot be written."""
+    with _writing(path):
+        write_atomic(path, data)
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, data)
+        yield
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); choose a folder you may write to"

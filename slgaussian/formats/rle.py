@@ -10,12 +10,44 @@ per group starting at ``0``. Bit 6 marks a continuation; bit 5 of the last group
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 _FIRST = ord("0")
 _MAX_GROUPS = 8
 """Largest number of groups of one count: 40 bits, enough for any image."""
+
+
+class RunLengths(NamedTuple):
+    """A mask: height and width in pixels, and counts as a string."""
+
+    height: int
+    width: int
+    counts: str
+
+    def decode(self) -> np.ndarray:
+        """Decode the mask, bool [height, width]; ValueError if the counts are damaged."""
+        return decode(self.counts, self.height, self.width)
+
+
+def encode(mask: np.ndarray) -> RunLengths:
+    """Encode a mask, bool [H, W], with the counts as a string."""
+    flat = np.asarray(mask, bool).ravel(order="F")
+    changes = np.flatnonzero(np.diff(flat, prepend=False))
+    values = np.diff(changes, prepend=0, append=flat.size)
+    values[3:] -= values[1:-2].copy()
+    groups = np.zeros((len(values), _MAX_GROUPS), np.uint8)
+    unfinished = np.ones(len(values), bool)
+    lengths = np.zeros(len(values), np.int64)
+    for k in range(_MAX_GROUPS):
+        low, values = values & 31, values >> 5
+        lengths += unfinished
+        more = unfinished & (values != np.where(low & 16, -1, 0))
+        groups[:, k] = _FIRST + low + 32 * more
+        unfinished = more
+    counts = groups[np.arange(_MAX_GROUPS) < lengths[:, None]].tobytes().decode("ascii")
+    return RunLengths(*mask.shape, counts)
 
 
 def decode(counts: str | Sequence[int], height: int, width: int) -> np.ndarray:

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -114,8 +115,8 @@ class ArtifactStore:
     Attributes:
         root: As passed, for messages; without credentials.
         fs, path: The file system, and the root's path in it.
-        local, near: bool. Whether it is a local folder; whether it is a local folder or in the
-            memory of this process.
+        local, near, s3: bool. Whether it is a local folder; a local folder or in the memory of this
+            process; a bucket of S3, which is paid by the request.
         cache: LocalCache or None. Local copies of the files of a store that is not near.
 
     Raises:
@@ -131,6 +132,7 @@ class ArtifactStore:
         self.local = isinstance(self.fs, LocalFileSystem)
         self.root = self.path if self.local else os.fspath(root).rstrip("/")
         self.near = self.local or isinstance(self.fs, MemoryFileSystem)
+        self.s3 = "s3" in self.fs.protocol
         self.cache = None if self.near else LocalCache.from_environment()
 
     def put(
@@ -149,9 +151,10 @@ class ArtifactStore:
         """
         digest, data = encode_artifact(spec, content, f"new {spec} artifact")
         ref = ArtifactRef(spec, address(spec, digest), digest, dict(meta or {}))
-        with suppress(SpecError):  # missing or damaged
-            data = min(data, self._fetch_artifact(ref)[0], key=_precedence)
-        self.write(ref.uri, data)
+        if not (self.s3 and self._create(ref.uri, data)):
+            with suppress(SpecError):  # missing or damaged
+                data = min(data, self._fetch_artifact(ref)[0], key=_precedence)
+            self.write(ref.uri, data)
         if self.cache is not None:
             self.cache.put(ref.uri, data)
         return ref
@@ -195,8 +198,12 @@ class ArtifactStore:
     def read(self, uri: str, expected: str = "a file") -> bytes:
         """Read a file; DamagedError if it is missing, ``expected`` describes it."""
         passed = OSError if self.local else FileNotFoundError
+        # In one request: s3fs asks for the size first, to read parts concurrently.
+        whole = {"max_concurrency": 1} if self.s3 else {}
         try:
-            return self._ask("read", lambda: self.fs.cat_file(f"{self.path}/{uri}"), passed)
+            return self._ask(
+                "read", lambda: self.fs.cat_file(f"{self.path}/{uri}", **whole), passed
+            )
         except FileNotFoundError as error:
             raise self._damaged(uri, "nothing", expected) from error
         except OSError as error:
@@ -299,12 +306,25 @@ class ArtifactStore:
                 os.makedirs(os.path.dirname(path), exist_ok=True)
                 write_atomic(path, data, sync=True)
             else:
-                # A single put or a multipart upload, both of which are atomic.
-                self.fs.pipe_file(
-                    path, data, **({} if self.near else {"chunksize": UPLOAD_PART_BYTES})
-                )
+                self._upload(path, data)
 
         self._ask("write", write_file)
+
+    def _create(self, uri: str, data: bytes) -> bool:
+        """Write a file of a bucket in one request if there is none; return whether it was written.
+
+        A server that ignores the condition replaces the file by one of the same content.
+        """
+        with suppress(OSError):  # it exists, or the server cannot do this; other errors come again
+            upload = partial(self._upload, f"{self.path}/{uri}", data, mode="create")
+            self._ask("write", upload, OSError)
+            return True
+        return False
+
+    def _upload(self, path: str, data: bytes, **options: str) -> None:
+        # A single put or a multipart upload, both of which are atomic.
+        size = {} if self.near else {"chunksize": UPLOAD_PART_BYTES}
+        self.fs.pipe_file(path, data, **size, **options)
 
     def remove(self, uris: Iterable[str]) -> None:
         """Delete files; missing files are ignored. StoreError if that fails."""

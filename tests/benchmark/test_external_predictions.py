@@ -17,10 +17,11 @@ from slgaussian.benchmark.external_predictions import (
     read_predictions,
     score_predictions,
 )
-from slgaussian.benchmark.outputs import mask_paths, write_predictions
+from slgaussian.benchmark.outputs import export_masks, mask_paths, mask_writer
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.errors import InputError
+from slgaussian.formats import rle
 from slgaussian.storage.specs import load_spec
 from tests.run_lengths import encode
 
@@ -35,9 +36,11 @@ def judged(room, result):
 
 @pytest.fixture
 def folder(tmp_path, result):
-    """Output folder of a benchmark of that scene."""
-    masks = {key: encode_png(mask) for key, mask in result.predictions.items()}
-    write_predictions(result.rows, masks, tmp_path / "run" / "predictions")
+    """Masks of a benchmark of that scene, as PNG files."""
+    with mask_writer(tmp_path) as add:
+        masks = {key: rle.encode(mask) for key, mask in result.predictions.items()}
+        add("slgaussian", result.scene, masks)
+    export_masks(tmp_path / "masks.parquet", tmp_path / "run" / "predictions")
     return tmp_path / "run"
 
 

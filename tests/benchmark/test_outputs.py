@@ -1,66 +1,68 @@
-"""Files of a benchmark: masks that any tool reads, and which of an earlier run are deleted."""
+"""Files of a benchmark: masks that any tool reads, as run lengths and as PNG files."""
 
 import re
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from PIL import Image
+from pycocotools import mask as coco
 
-from slgaussian.benchmark.external_predictions import SCORABLE
+from slgaussian.benchmark import outputs
+from slgaussian.benchmark.external_predictions import SCORABLE, read_predictions
 from slgaussian.benchmark.outputs import (
-    clear_predictions,
+    export_masks,
     file_name,
     mask_paths,
-    write_predictions,
+    mask_writer,
     write_samples,
 )
-from slgaussian.benchmark.pictures import encode_png
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, SpecError
+from slgaussian.formats import rle
 
 
-def masks_of(result) -> dict[tuple[str, str, str], bytes]:
-    return {key: encode_png(mask) for key, mask in result.predictions.items()}
+def write_masks(out, result, methods=("slgaussian",)) -> None:
+    with mask_writer(out) as add:
+        for method in methods:
+            masks = {key: rle.encode(mask) for key, mask in result.predictions.items()}
+            add(method, result.scene, masks)
 
 
-def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
-    write_predictions(result.rows, masks_of(result), tmp_path)
-    files = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert len(files) == len(result.predictions)
-    assert len(files) == sum(row["protocol"].partition("@")[0] in SCORABLE for row in result.rows)
+def test_masks_can_be_read_by_any_tool(tmp_path, result, monkeypatch):
+    monkeypatch.setattr(outputs, "MASKS_IN_MEMORY", 3)
+    write_masks(tmp_path, result, ("slgaussian", "other"))
+    names = ("protocol", "frame", "query")
+    filters = [("method", "==", "other")]
+    rows = pq.read_table(tmp_path / "masks.parquet", filters=filters).to_pylist()
+    assert {tuple(row[name] for name in names) for row in rows} == result.predictions.keys()
+    assert len(rows) == sum(row["protocol"].partition("@")[0] in SCORABLE for row in result.rows)
+    for row in rows:
+        mask = coco.decode({"size": [row["height"], row["width"]], "counts": row["counts"]})
+        assert np.array_equal(mask, result.predictions[tuple(row[name] for name in names)])
+    assert export_masks(tmp_path / "masks.parquet", tmp_path / "png") == 2 * len(rows)
     for (protocol, frame, query), mask in result.predictions.items():
-        folder = tmp_path / "slgaussian" / protocol.removesuffix("@2") / result.scene / frame
+        folder = tmp_path / "png" / "other" / protocol.removesuffix("@2") / result.scene / frame
         path = folder / f"{query}.png"
-        metadata = {"protocol": protocol, "frame": frame, "query": query}
-        assert tmp_path / mask_paths([{**result.rows[0], **metadata}])[0] == path
+        metadata = {"method": "other", "protocol": protocol, "frame": frame, "query": query}
+        assert tmp_path / "png" / mask_paths([{**result.rows[0], **metadata}])[0] == path
         assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
 
 
-def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
-    other = [row | {"method": "other"} for row in result.rows]
-    for rows in (result.rows, other):
-        write_predictions(rows, masks_of(result), tmp_path / "predictions")
-    write_samples([*result.rows, *other, {**result.rows[0], "method": "third"}], tmp_path)
-    before = set(tmp_path.rglob("*.png"))
-    notes = tmp_path / "predictions" / "other" / "notes.txt"
-    foreign = tmp_path / "predictions" / "yet another" / "a.png"
-    foreign.parent.mkdir()
-    for file in (notes, foreign):
-        file.write_text("mine")
-    emptied = tmp_path / "predictions" / "third" / "slgaussian"
-    emptied.mkdir(parents=True)  # the user deleted what was in it
-    of_one_query = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
-    clear_predictions(of_one_query, tmp_path)
-    left = {tmp_path / "predictions" / mask_paths([row])[0] for row in of_one_query} & before
-    assert left and set(tmp_path.rglob("*.png")) == left | {foreign} and notes.exists()
-    assert not (tmp_path / "predictions" / "other" / "slgaussian").exists()
-    assert not emptied.parent.exists()
-    # Again, or without a table of samples, nothing happens.
-    clear_predictions(of_one_query, tmp_path)
-    for table in (b"no table", None):
-        samples = tmp_path / "samples.parquet"
-        samples.unlink() if table is None else samples.write_bytes(table)
-        clear_predictions([], tmp_path)
-    assert set(tmp_path.rglob("*.png")) == left | {foreign}
+def test_masks_of_an_earlier_run_are_replaced_by_a_whole_file_only(tmp_path, result):
+    write_masks(tmp_path, result, ("slgaussian", "other"))
+    file = tmp_path / "masks.parquet"
+    before = file.read_bytes()
+    with pytest.raises(ZeroDivisionError), mask_writer(tmp_path) as add:
+        add("third", "scene", {})
+        raise ZeroDivisionError
+    assert file.read_bytes() == before and list(tmp_path.iterdir()) == [file]
+    write_masks(tmp_path, result)
+    assert {key[0] for key in read_predictions(tmp_path).masks} == {"slgaussian"}
+    write_masks(tmp_path / "again", result)
+    assert (tmp_path / "again" / "masks.parquet").read_bytes() == file.read_bytes()
+    file.write_bytes(before[:-9])
+    with pytest.raises(SpecError, match=r"masks\.parquet: file: found \d+ bytes that cannot"):
+        read_predictions(tmp_path)
 
 
 def test_file_names_are_safe_and_differ():

@@ -14,16 +14,14 @@ import numpy as np
 import pytest
 from PIL import Image
 from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_model
-from prefect.states import State
 from test_unposed import side_by_side
 
 from slgaussian import datasets
 from slgaussian.datasets import re10k, unposed
 from slgaussian.errors import InputError
-from slgaussian.storage.store import ArtifactStore
 from tasks.chunks import PosedFolder, packed
-from tasks.context import RunContext, run_context
 from tasks.scene import Labels, Photographs, ingest, truth
+from tests.plain_stages import call
 
 NAMES = ("view_10.png", "view_2.png", "view_30.png", "view_4.png")
 """Sorted by name; in numeric order the first is the third."""
@@ -162,13 +160,10 @@ def fast_ingest():
 
 def run_stage(stage, arguments, store):
     """Return a stage's result, or the text of its refusal; and if it was in the store."""
-    with run_context(RunContext(ArtifactStore(str(store)))):
-        try:
-            output = stage.task.fn([], [], arguments)
-        except InputError as error:
-            return str(error), False
-    cached = isinstance(output, State)
-    ref = (output.result() if cached else output).ref
+    try:
+        ref, cached = call(stage, store, **arguments)
+    except InputError as error:
+        return str(error), False
     return (ref.digest, ref.meta.get("cameras"), ref.meta.get("left_out")), cached
 
 
@@ -233,9 +228,7 @@ def test_cached_truth_equals_that_of_an_empty_store(tmp_path):
 
     def read_truth(root, store):
         views = Photographs("s", "nerfstudio", root, {}, ("view_10", "view_30"), REQUESTED)
-        with run_context(RunContext(ArtifactStore(str(store)))):
-            output = ingest.task.fn([], [], {"photographs": views})
-        sample = (output.result() if isinstance(output, State) else output).ref
+        sample, _ = call(ingest, store, photographs=views)
         labels = Labels(root / "labels", REQUESTED, ("ball", "box"))
         labels = labels.of_views(sample.meta["targets"])
         return run_stage(truth, {"sample": sample, "labels": labels}, store)

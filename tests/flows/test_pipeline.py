@@ -73,7 +73,8 @@ def test_the_bad_scene_is_named_and_the_good_one_reported(first):
     assert "lost" in page
     assert row["reason"].split(":")[0] in page
     samples = pq.read_table(folder / "out" / "samples.parquet")
-    masks = list((folder / "out" / "predictions").glob("*/*/room/**/*.png"))
+    masks = pq.read_table(folder / "out" / "masks.parquet")
+    assert set(masks["scene"].to_pylist()) == {"room"}
     assert set(samples["method"].to_pylist()) == {"slgaussian", "no-bank"}
     scorable = [
         name for name in samples["protocol"].to_pylist() if name.partition("@")[0] in SCORABLE

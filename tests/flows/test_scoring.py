@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from PIL import Image
 
 from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.protocols import PROTOCOLS
 from tests.flows.command import ROOM, room, settings, write_photographs
-from tests.run_lengths import encode
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "tests" / "benchmark" / "other_method"
@@ -81,10 +79,14 @@ def run_out(labelled, tmp_path_factory, server) -> Path:
     return out
 
 
-def samples(folder: Path) -> dict:
-    rows = pq.read_table(folder / "samples.parquet").to_pylist()
+def samples(folder: Path, table: str = "samples") -> dict:
+    rows = pq.read_table(folder / f"{table}.parquet").to_pylist()
     names = ("method", "protocol", "scene", "frame", "query")
     return {tuple(row[name] for name in names): row for row in rows}
+
+
+def masks(folder: Path) -> dict:
+    return samples(folder, "masks")
 
 
 def test_a_method_of_another_package_is_in_the_report(run_out):
@@ -126,12 +128,14 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(labelled, run_out, tm
     for key in scorable:
         for name in ("dataset", "place", "iou", "boundary_iou", "class_iou", "accuracy"):
             assert rescored[key][name] == of_run[key][name], (key, name)
-    for file in (run_out / "predictions").rglob("*.png"):
-        mask = np.asarray(Image.open(file))
-        twin = np.asarray(
-            Image.open(out / "predictions" / file.relative_to(run_out / "predictions"))
-        )
-        assert np.array_equal(mask, twin)
+    kept = {key: row for key, row in masks(run_out).items() if key in scorable}
+    assert masks(out) == kept and kept
+    # So are those of the same masks as PNG files, where others have them so.
+    pngs = tmp_path / "pngs"
+    status, printed_pngs, _ = slg("export", run_out / "masks.parquet", "-o", pngs)
+    assert status == 0 and f"{len(masks(run_out))} masks" in printed_pngs
+    assert slg("score", pngs, *data(labelled), "-o", tmp_path / "of_pngs")[0] == 0
+    assert samples(tmp_path / "of_pngs") == rescored
     table = {line.split("  ")[0]: line for line in printed.split("\n\n")[0].splitlines()}
     ious = [row["iou"] for key, row in rescored.items() if key[:2] == ("colours", "slgaussian@2")]
     assert f"{np.mean([iou for iou in ious if iou is not None]):.3f}" in table["colours"]
@@ -145,15 +149,14 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(labelled, run_out, tm
 def test_run_lengths_and_labels_without_an_index(labelled, run_out, tmp_path, slg):
     entries = []
     for key, row in samples(run_out).items():
-        method, protocol, scene, frame, query = key
-        if (method, protocol) != ("colours", "slgaussian@2") or row["iou"] is None:
+        *_, frame, query = key
+        if key[:2] != ("colours", "slgaussian@2") or row["iou"] is None:
             continue
-        file = run_out / "predictions" / method / "slgaussian" / scene / "view_01" / f"{query}.png"
-        mask = np.asarray(Image.open(file).convert("L")) > 127
+        mask = masks(run_out)[key]
         # Without an index the scene is called as the folder is.
         point = [row["point_x"], row["point_y"]] if row["point_x"] is not None else None
         entry = {"scene": labelled.name, "frame": frame, "query": query}
-        counts = encode(mask)
+        counts = mask["counts"]
         entries.append({**entry, "size": [64, 64], "counts": counts, "point": point})
     (tmp_path / "mine.json").write_text(json.dumps(entries[:-1] + [{**entries[0], "frame": "x"}]))
     out = tmp_path / "out"
@@ -175,7 +178,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, run_out, tmp_path, sl
     # A second time with fewer masks leaves none of the first.
     (tmp_path / "mine.json").write_text(json.dumps(entries[:1]))
     assert slg(*words)[0] == 0
-    assert len(list((out / "predictions").rglob("*.png"))) == 1
+    assert len(masks(out)) == 1
 
 
 def test_what_cannot_be_scored_is_one_sentence(labelled, run_out, tmp_path, refusal):

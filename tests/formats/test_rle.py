@@ -25,6 +25,7 @@ def test_the_text_is_that_of_pycocotools():
 
 @given(masks)
 def test_masks_come_back_from_text(mask):
+    assert rle.encode(mask) == (*mask.shape, encode(mask))
     assert np.array_equal(rle.decode(encode(mask), *mask.shape), mask)
 
 

@@ -139,7 +139,7 @@ def test_a_result_keeps_every_pixel(sample, store):
     arrays = through(store, "scene_result", result_to_arrays(result))
     back = result_from_arrays(arrays)
     assert (back.rows, back.scene_metrics) == (result.rows, result.scene_metrics)
-    masks = decoded(predictions_of(arrays))
+    masks = {key: mask.decode() for key, mask in predictions_of(arrays).items()}
     assert list(masks) == list(result.predictions)
     for key, mask in result.predictions.items():
         assert masks[key].dtype == bool

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.context import RunContext, run_context
+from slgaussian.storage.store import ArtifactRef
 from tasks.stage import cache_key, canonical, stage
+from tests.plain_stages import call
 
 A = ArtifactRef("labels", "labels/aa/aa.npz", "aa")
 B = ArtifactRef("labels", "labels/bb/bb.npz", "bb")
@@ -100,6 +100,5 @@ def test_a_stage_of_another_version_works_anew(tmp_path):
         return stage("packed", version)(work)
 
     for version in (1, 1, 2, 2, 1):
-        with run_context(RunContext(ArtifactStore(str(tmp_path)))):
-            of_version(version).task.fn([], [], {"number": 4})
+        call(of_version(version), tmp_path, number=4)
     assert versions == [1, 2]
