@@ -1,11 +1,12 @@
-"""Nights of many scenes, simulated: a run that computes all of them, and one that finds them.
+"""Nights of many scenes, simulated: runs that find the results of all scenes in the store.
 
-    python -m benches.pipeline.nights WORK [-o docs/measured] [--scenes 100 1000]
+    python -m benches.pipeline.nights WORK [-o docs/measured] [--scenes 100 1000 10000]
 
-The flow of ``slgaussian run``, its store and a Prefect server that keeps task runs are real. The
-stages of a scene copy the artifacts of one small room, with a few numbers changed so that every
-file is another. Files are counted by their names, and *links* are those of them that are hard links
-to files of the store. The database is measured when the server has received the last task run.
+The store is filled with copies of the artifacts of one small room, with fewer Gaussians and a few
+numbers changed so that every file is another. Then the flow of ``slgaussian run`` runs twice,
+unchanged, with a Prefect server that keeps task runs: the first time it computes the report. Files
+are counted by their names; *links* are those of them that are hard links to files of the store. The
+database is measured when the server has received the last task run.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ import resource
 import shutil
 import sqlite3
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
+import pytest
 
 from benches.common.harness import parser, publish, table
 from flows.runners.environment import prepare
@@ -37,9 +38,10 @@ COLUMNS = {
     "scenes": ("scenes", ",d"),
     "night": ("night", str),
     "seconds": ("s", ",.0f"),
+    "processor": ("CPU s", ",.0f"),
     "task_runs": ("task runs", ",d"),
     "database": ("database grows, MB", ",.1f"),
-    "out": ("new files of results", ",d"),
+    "out": ("files of results", ",d"),
     "links": ("of them links", ",d"),
     "store": ("new files of the store", ",d"),
     "memory": ("peak memory, MB", ",.0f"),
@@ -49,6 +51,8 @@ COLUMNS = {
 def vary(arrays: Mapping[str, np.ndarray], scene: str) -> dict[str, np.ndarray]:
     """Return arrays that differ for every scene: its name, and a number or the first pixels."""
     number = int(scene.rpartition("_")[2])
+    if "quats" in arrays:
+        arrays = {name: array if name == "origin" else array[:99] for name, array in arrays.items()}
     varied = dict(arrays)
     if "scene" in arrays:
         varied["scene"] = np.array(scene)
@@ -120,57 +124,76 @@ def recorded(server: LocalServer) -> tuple[int, float]:
     return counts[-1], pages * size / 1e6
 
 
-def nights(server: LocalServer, work: Path, scenes: int) -> list[dict[str, Any]]:
-    """Run two nights of the same scenes into two folders; return a row for each."""
+def without_prefect(compute: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function of a task, with the arguments that a stage passes to its task."""
+    from prefect.utilities.annotations import quote
+
+    def call(*arguments: Any) -> Any:
+        return compute(*(a.unwrap() if isinstance(a, quote) else a for a in arguments))
+
+    return call
+
+
+def fill(work: Path, config: Any) -> None:
+    """Fill the store of a run with the results of its scenes, without waiting for the disk."""
+    from flows.benchmark import scenes_of
+    from flows.runners.batches import compute_scene
+    from flows.scene import STAGES, scene_task
+
+    scenes, store, room = scenes_of(config)[0], ArtifactStore(config.store), ArtifactStore(work)
+    tasks = [scene_task(config, scene) for scene in scenes]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: None)
+        for stage in STAGES:
+            patch.setattr(stage, "task", without_prefect(stage.task.fn))
+        refs, _ = compute_scene(tasks[0], room, 1, lambda event: None)
+        for stage in STAGES:
+            patch.setattr(stage, "compute", stand_in(room, refs[stage.name]))
+        for task in tasks:
+            _, failure = compute_scene(task, store, 1, lambda event: None)
+            assert failure is None, failure
+
+
+def nights(server: LocalServer, work: Path, scenes: int) -> Iterator[dict[str, Any]]:
+    """Run two nights of the same scenes into one folder; yield a row for each."""
     from flows.benchmark import score_scenes
     from flows.read_config import make_settings
 
-    shutil.rmtree(work / "nights", ignore_errors=True)
-    store, rows = work / "nights" / "store", []
-    for night in ("computed", "cached"):
-        out = work / "nights" / night
-        values = {"rooms": f"0-{scenes - 1}", "size": SIZE, "out": out, "store": str(store)}
+    shutil.rmtree(work, ignore_errors=True)
+    store, out = work / "store", work / "out"
+    values = {"rooms": f"0-{scenes - 1}", "size": SIZE, "out": out, "store": str(store)}
+    config = make_settings(values, "nights")
+    fill(work / "room", config)
+    for night in ("new report", "cached"):
         before, (tasks, size) = files_below(store), recorded(server)
-        start = time.perf_counter()
-        score_scenes(make_settings(values, "nights"))
+        start, processor = time.perf_counter(), time.process_time()
+        score_scenes(config)
         row: dict[str, Any] = {"scenes": scenes, "night": night}
         row["seconds"] = time.perf_counter() - start
+        row["processor"] = time.process_time() - processor
         after, (tasks_after, size_after) = files_below(store), recorded(server)
         written = files_below(out)
         row |= {"task_runs": tasks_after - tasks, "database": size_after - size}
         row |= {"out": len(written), "links": sum(count > 1 for count in written.values())}
         row |= {"store": len(after.keys() - before.keys())}
         row["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        rows.append(row)
         print(row, flush=True)
-    return rows
+        yield row
 
 
 def main() -> None:
     arguments = parser(__doc__, "scale.md")
     arguments.add_argument("work", type=Path, help="folder for the stores and the server")
-    arguments.add_argument("--scenes", type=int, nargs="*", default=[100, 1000])
+    arguments.add_argument("--scenes", type=int, nargs="*", default=[100, 1000, 10000])
     args = arguments.parse_args()
     work = args.work.resolve()
     prepare(work / "server")
     server = LocalServer(work / "server")
     os.environ["PREFECT_API_URL"] = server.url
     server.start()
-    server.wait()
-    from flows.read_config import make_settings
-    from flows.runners.batches import compute_scene
-    from flows.scene import STAGES, scene_task
-    from flows.scenes import room_scene
-
     try:
-        store = ArtifactStore(work / "room")
-        task = scene_task(make_settings({"rooms": "0", "size": SIZE}, "nights"), room_scene(0))
-        refs, failure = compute_scene(task, store, 1, lambda event: None)
-        assert failure is None, failure
-        for stage in STAGES:
-            ref = refs[stage.name]
-            stage.compute = stand_in(store, replace(ref, meta=ref.meta))
-        rows = [row for scenes in args.scenes for row in nights(server, work, scenes)]
+        server.wait()
+        rows = [row for scenes in args.scenes for row in nights(server, work / "nights", scenes)]
     finally:
         server.stop()
     publish(args.out, "scale.md", "python -m benches.pipeline.nights WORK", table(rows, COLUMNS))

@@ -16,6 +16,9 @@ from slgaussian.errors import InputError
 if TYPE_CHECKING:
     from slgaussian.storage.store import ArtifactStore
 
+MAX_NAMED = 20
+"""Largest number of damaged files that are named."""
+
 store_app = typer.Typer(
     name="store", cls=options.Group, no_args_is_help=True, help="Clean a store."
 )
@@ -28,8 +31,9 @@ def inspect(
     """Show the spec, fields and provenance of a file, and check it.
 
     Reads tables (Parquet), arrays (NPZ), weights (safetensors) and JSON, or all files of a folder,
-    such as a field, a store or the results of a run. The exit status is 1 if a file is damaged, or
-    a table or arrays break their spec.
+    such as a field or the results of a run. Files of a store are counted by stage, and damaged ones
+    named; with --json all are. The exit status is 1 if a file is damaged, or a table or arrays
+    break their spec.
 
     \b
     slgaussian inspect results/samples.parquet
@@ -40,13 +44,23 @@ def inspect(
 
     files = inspection.inspect(path)
     if as_json:
+        files = list(files)
         typer.echo(json.dumps(files, indent=1, ensure_ascii=False))
-    for file in [] if as_json else files:
-        state = "BAD" if file["problem"] else file["spec"]
-        typer.echo(f"{file['path']}: {state} {file['digest'][:12]}")
-        typer.echo(f"  {file['problem'] or file['meaning']}")
-        for name, value in {**file["fields"], **file["made"]}.items():
-            typer.echo(f"  {name}: {value if isinstance(value, str) else json.dumps(value)}")
+    elif inspection.is_store(path):
+        counts, files = inspection.summarize(files)
+        typer.echo("\n".join(counts))
+        for file in files[:MAX_NAMED]:
+            typer.echo(f"BAD  {file['problem']}")
+        if rest := len(files[MAX_NAMED:]):
+            typer.echo(f"and {rest} more; --json names them")
+    else:
+        files = list(files)
+        for file in files:
+            state = "BAD" if file["problem"] else file["spec"]
+            typer.echo(f"{file['path']}: {state} {file['digest'][:12]}")
+            typer.echo(f"  {file['problem'] or file['meaning']}")
+            for name, value in {**file["fields"], **file["made"]}.items():
+                typer.echo(f"  {name}: {value if isinstance(value, str) else json.dumps(value)}")
     raise typer.Exit(any(file["problem"] for file in files))
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path, PurePath
@@ -20,31 +21,58 @@ SUFFIXES = (".npz", ".parquet", ".json", ".safetensors")
 REPAIR = "download or create it again"
 
 
-def inspect(place: str | Path) -> list[dict[str, Any]]:
+def inspect(place: str | Path) -> Iterator[dict[str, Any]]:
     """Inspect a file, all files of a folder that slgaussian wrote, or the artifacts of a store.
 
     A store that is not a folder is given by its URL. InputError if there is no such file, or the
     store does not answer.
 
-    Returns rows with ``path``, ``spec``, ``meaning``, ``fields`` (unit and meaning by name),
-    ``made`` (provenance in the file) and ``digest``, the SHA-256 of the content of tables and
-    arrays, and of other files as a whole. ``problem`` describes damage or a broken spec, else "".
+    Yields rows with ``path``, ``spec``, ``meaning``, ``fields`` (unit and meaning by name),
+    ``made`` (provenance in the file), ``bytes`` and ``digest``, the SHA-256 of the content of
+    tables and arrays, and of other files as a whole. ``problem`` describes damage or a broken spec,
+    else "".
     """
-    inspected, path = [], Path(place)
-    if "://" in str(place):
-        inspected = _inspect_store(str(place))
-    elif path.is_dir():
-        for file in sorted(path.rglob("*.*")):
-            with suppress(InputError):  # skip files of other programs
-                inspected.append(_row(str(file), partial(_read, file)))
-    else:
-        inspected = [_row(str(path), partial(_read, path))]
-    if not inspected:
+    row = None
+    for row in _inspect_store(str(place)) if is_store(place) else _inspect_folder(Path(place)):
+        yield row
+    if row is None:
         raise InputError(f"{place}: found no file there that slgaussian wrote, expected some")
-    return inspected
 
 
-def _inspect_store(url: str) -> list[dict[str, Any]]:
+def is_store(place: str | Path) -> bool:
+    """Return whether a place is a URL, or a folder with the records of a store."""
+    return "://" in str(place) or (Path(place) / "keys").is_dir()
+
+
+def summarize(rows: Iterable[Mapping[str, Any]]) -> tuple[list[str], list[Mapping[str, Any]]]:
+    """Return the lines of a table of files by stage and spec, and the rows with a problem."""
+    counts, sizes, bad = Counter[tuple[str, str]](), Counter[tuple[str, str]](), []
+    for row in rows:
+        if row["problem"]:
+            bad.append(row)
+            continue
+        made = row["made"]
+        version = f" v{made['stage_version']}" if "stage_version" in made else ""
+        key = f"{made.get('stage', 'unknown')}{version}", row["spec"]
+        counts[key] += 1
+        sizes[key] += row["bytes"]
+    lines = [f"{'stage':<24}{'spec':<32}{'files':>10}{'MB':>12}"]
+    for (stage, spec), count in sorted(counts.items()):
+        megabytes = sizes[stage, spec] / 1e6
+        lines.append(f"{stage:<24}{spec:<32}{count:>10,}{megabytes:>12,.1f}")
+    return lines, bad
+
+
+def _inspect_folder(path: Path) -> Iterator[dict[str, Any]]:
+    if not path.is_dir():
+        yield _row(str(path), partial(_read, path))
+        return
+    for file in sorted(path.rglob("*.*")):
+        with suppress(InputError):  # skip files of other programs
+            yield _row(str(file), partial(_read, file))
+
+
+def _inspect_store(url: str) -> Iterator[dict[str, Any]]:
     from slgaussian.storage.store import CONCURRENT_READS, ArtifactStore, ref_of
 
     store = ArtifactStore(url)
@@ -55,13 +83,14 @@ def _inspect_store(url: str) -> list[dict[str, Any]]:
             file, lambda: store.fetch(uri, "an artifact", lambda data: _describe(file, data))[1]
         )
 
-    uris = [file.uri for files in store.walk() for file in files if ref_of(file.uri) is not None]
-    return store.map(inspect_artifact, uris, CONCURRENT_READS)
+    for files in store.walk():
+        uris = [file.uri for file in files if ref_of(file.uri) is not None]
+        yield from store.map(inspect_artifact, uris, CONCURRENT_READS)
 
 
 def _row(file: str, describe: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     row: dict[str, Any] = {"path": file, "spec": "", "meaning": "", "fields": {}}
-    row |= {"digest": "", "made": {}, "problem": ""}
+    row |= {"bytes": 0, "digest": "", "made": {}, "problem": ""}
     try:
         return row | describe()
     except SpecError as error:
@@ -92,9 +121,11 @@ def _describe(file: str, data: bytes) -> dict[str, Any]:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise SpecError(f"{file}: is damaged ({reason}); {REPAIR}") from error
     digest, origin = hashlib.sha256(data).hexdigest(), metadata.get("made", {})
+    size = {"bytes": len(data)}
     is_artifact = len(path.stem) == len(digest)
     if path.suffix == ".safetensors":
-        return {"meaning": "Weights.", "digest": digest, "made": metadata.get("__metadata__", {})}
+        made = metadata.get("__metadata__", {})
+        return {"meaning": "Weights.", "digest": digest, "made": made, **size}
     by_file = {load_spec(name).file: name for name in spec_names()}
     name = parse_label(label)[0] if label else by_file.get(path.name, "")
     if name not in spec_names() or load_spec(name).suffix != path.suffix:
@@ -110,7 +141,7 @@ def _describe(file: str, data: bytes) -> dict[str, Any]:
         origin = {key: metadata[key] for key in keys if key in metadata}
     if is_artifact and path.stem != digest:
         raise mismatch(file, "digest", digest[:12], "that of its name")
-    return {**_describe_spec(name), "digest": digest, "made": origin}
+    return {**_describe_spec(name), "digest": digest, "made": origin, **size}
 
 
 @cache  # a store has many files of a spec

@@ -21,8 +21,8 @@ from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
+from slgaussian.storage import inspection
 from slgaussian.storage.encoding import read_metadata
-from slgaussian.storage.inspection import inspect
 from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
@@ -153,7 +153,7 @@ def test_documents_are_what_their_specs_say(first):
     assert times["spec"] == "slgaussian/run_times@4"
     field = out / "fields" / "room" / "field.json"
     read_document(field.read_bytes(), load_spec("field_json"), "f")
-    files = inspect(out)
+    files = list(inspection.inspect(out))
     assert [file["problem"] for file in files if file["problem"]] == []
     assert {Path(file["path"]).name for file in files} >= {
         "manifest.json",
@@ -274,7 +274,7 @@ def test_what_is_damaged_is_made_again_and_never_handed_out(first, monkeypatch):
     assert {name.split("/")[0] for name in harmed} == HANDED_OUT
     assert all(Path(store.path, name).stat().st_size for name in harmed)
     # By content: bytes name the run that wrote them, which may be another one of equal content.
-    damaged = {row["path"] for row in inspect(Path(store.path)) if row["problem"]}
+    damaged = {row["path"] for row in inspection.inspect(Path(store.path)) if row["problem"]}
     assert not {f"{store.path}/{name}" for name in harmed} & damaged
 
 

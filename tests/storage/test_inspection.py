@@ -21,14 +21,19 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.language.bank import MemoryBank
 from slgaussian.scene import Camera
 from slgaussian.semantic.branch import Architecture, make_branch, save_branch
+from slgaussian.storage import inspection
 from slgaussian.storage.encoding import encode_arrays, encode_table
-from slgaussian.storage.inspection import inspect
 from slgaussian.storage.provenance import Provenance, record_provenance
+from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 from tests.rasterize.hard_cases import splats
 
 ROOT = Path(__file__).parents[2]
+
+
+def inspect(place) -> list[dict]:
+    return list(inspection.inspect(place))
 
 
 @pytest.fixture
@@ -84,6 +89,22 @@ def test_damaged_artifacts_of_a_store_are_named(store):
     )
     with pytest.raises(InputError, match=r"nothing: (found no file|cannot be read)"):
         inspect(f"{store.root}/nothing")
+
+
+def test_files_of_a_store_are_counted_by_stage_and_damaged_ones_named(store):
+    for value in range(4):
+        with record_provenance(Provenance("masks", 4 + value // 3, {}, {})):
+            ref = store.put("labels", labels(value))
+            Records(store).keep(f"masks/v4/{value:064d}", ref)
+    size = len(store.read(ref.uri))
+    store.write(ref.uri, b"PK")
+    table, bad = inspection.summarize(inspection.inspect(store.root))
+    assert [line.split() for line in table] == [
+        ["stage", "spec", "files", "MB"],
+        ["masks", "v4", "slgaussian/labels@1", "3", f"{3 * size / 1e6:.1f}"],
+    ]
+    assert [row["path"] for row in bad] == [f"{store.root}/{ref.uri}"]
+    assert inspection.is_store(store.root)
 
 
 def test_weights_are_known_by_their_tensors(tmp_path):
