@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -47,7 +47,7 @@ from flows.scenes import DATASET, PATH_SUBDIVISIONS, labelled_scenes, room_scene
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.outputs import mask_writer, write_costs, write_samples, write_table
+from slgaussian.benchmark.outputs import Masks, write_costs, write_masks, write_samples, write_table
 from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
@@ -247,14 +247,17 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
     """Write all outputs; return the results without images, of which there may be thousands."""
     out = settings.out
     write_failures(out, computed.failures)
-    results, costs = [], []
-    with mask_writer(out) as add_masks:
+    results, costs = list[SceneResult](), list[dict[str, Any]]()
+
+    def masks() -> Iterator[tuple[str, str, Masks]]:
         for _, ref, seconds in computed.answers:
             arrays = store.get(ref)
             result = result_from_arrays(arrays)
-            add_masks(result.method, result.scene, predictions_of(arrays))
             results.append(result)
-            costs += [{**row, "build_seconds": seconds} for row in ref.meta["costs"]]
+            costs.extend({**row, "build_seconds": seconds} for row in ref.meta["costs"])
+            yield result.method, result.scene, predictions_of(arrays)
+
+    write_masks(masks(), out)
     rows = [row for result in results for row in result.rows]
     write_samples(rows, out)
     write_costs(costs, out)

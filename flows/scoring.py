@@ -23,7 +23,7 @@ from slgaussian.benchmark.external_predictions import (
     read_predictions,
     score_predictions,
 )
-from slgaussian.benchmark.outputs import mask_writer, write_samples
+from slgaussian.benchmark.outputs import write_masks, write_samples
 from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
@@ -81,9 +81,8 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
         )
     check_folder(out)
     rows = [row for result in results for row in result.rows]
-    with mask_writer(out) as add_masks:
-        for result, predicted in zip(results, masks, strict=True):
-            add_masks(result.method, result.scene, predicted)
+    scenes_of_masks = zip(results, masks, strict=True)
+    write_masks(((result.method, result.scene, of) for result, of in scenes_of_masks), out)
     write_samples(rows, out)
     return Scores(results, predictions, messages)
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -64,37 +65,28 @@ def write_table(name: str, table: pa.Table, out: str | Path) -> None:
     write_file(file, encode_table(table, spec))
 
 
-@contextmanager
-def mask_writer(out: str | Path) -> Iterator[Callable[[str, str, Masks], None]]:
-    """Yield a function that adds masks of a method and a scene to ``masks.parquet`` in ``out``.
+def write_masks(masks: Iterable[tuple[str, str, Masks]], out: str | Path) -> None:
+    """Write masks of methods and scenes, by these names, as ``masks.parquet`` into folder ``out``.
 
-    Spec ``masks``. The file replaces that of an earlier run at the end of the block; a part of it
-    is in memory.
-
-    Raises:
-        InputError: If the file cannot be written.
+    Spec ``masks``. :data:`MASKS_IN_MEMORY` are in memory. InputError if it cannot be written.
     """
-    spec, rows = load_spec("masks"), list[dict[str, Any]]()
-    file = Path(out) / spec.file
-    with _writing(file), atomic_path(file) as temporary:
-        schema = with_provenance(spec.schema)
-        with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
-
-            def write() -> None:
-                table = pa.Table.from_pylist(rows, schema=schema)
-                spec.check_table(table, str(file))
-                writer.write_table(table)
-                rows.clear()
-
-            def add(method: str, scene: str, masks: Masks) -> None:
-                for (protocol, frame, query), mask in masks.items():
-                    names = {"method": method, "protocol": protocol, "scene": scene}
-                    rows.append({**names, "frame": frame, "query": query, **mask._asdict()})
-                if len(rows) >= MASKS_IN_MEMORY:
-                    write()
-
-            yield add
-            write()
+    spec = load_spec("masks")
+    file, schema = Path(out) / spec.file, with_provenance(spec.schema)
+    rows = (
+        {"method": method, "protocol": protocol, "scene": scene, "frame": frame, "query": query}
+        | mask._asdict()
+        for method, scene, of_scene in masks
+        for (protocol, frame, query), mask in of_scene.items()
+    )
+    with (
+        _writing(file),
+        atomic_path(file) as temporary,
+        pq.ParquetWriter(temporary, schema, compression="zstd") as writer,
+    ):
+        while part := list(islice(rows, MASKS_IN_MEMORY)):
+            table = pa.Table.from_pylist(part, schema=schema)
+            spec.check_table(table, str(file))
+            writer.write_table(table)
 
 
 def export_masks(file: Path, out: Path) -> int:

@@ -37,16 +37,13 @@ def encode(mask: np.ndarray) -> RunLengths:
     changes = np.flatnonzero(np.diff(flat, prepend=False))
     values = np.diff(changes, prepend=0, append=flat.size)
     values[3:] -= values[1:-2].copy()
-    groups = np.zeros((len(values), _MAX_GROUPS), np.uint8)
-    unfinished = np.ones(len(values), bool)
-    lengths = np.zeros(len(values), np.int64)
-    for k in range(_MAX_GROUPS):
+    groups, written, unfinished = [], [], np.ones(len(values), bool)
+    while unfinished.any():
         low, values = values & 31, values >> 5
-        lengths += unfinished
-        more = unfinished & (values != np.where(low & 16, -1, 0))
-        groups[:, k] = _FIRST + low + 32 * more
-        unfinished = more
-    counts = groups[np.arange(_MAX_GROUPS) < lengths[:, None]].tobytes().decode("ascii")
+        written.append(unfinished)
+        unfinished = unfinished & (values != np.where(low & 16, -1, 0))
+        groups.append((_FIRST + low + 32 * unfinished).astype(np.uint8))
+    counts = np.stack(groups, 1)[np.stack(written, 1)].tobytes().decode("ascii")
     return RunLengths(*mask.shape, counts)
 
 

@@ -251,11 +251,9 @@ class ArtifactStore:
 
         A hard link to the artifact is not read: records notice when that was written to.
         """
-        try:
+        with suppress(OSError):
             if self.local and os.path.samefile(f"{self.path}/{ref.uri}", path):
                 return True
-        except OSError:
-            pass  # the artifact or the file is missing
         try:
             self.decode(ref, Path(path).read_bytes())
         except (OSError, DamagedError):

@@ -17,7 +17,7 @@ from slgaussian.benchmark.external_predictions import (
     read_predictions,
     score_predictions,
 )
-from slgaussian.benchmark.outputs import export_masks, mask_paths, mask_writer
+from slgaussian.benchmark.outputs import export_masks, mask_paths, write_masks
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.errors import InputError
@@ -37,9 +37,8 @@ def judged(room, result):
 @pytest.fixture
 def folder(tmp_path, result):
     """Masks of a benchmark of that scene, as PNG files."""
-    with mask_writer(tmp_path) as add:
-        masks = {key: rle.encode(mask) for key, mask in result.predictions.items()}
-        add("slgaussian", result.scene, masks)
+    masks = {key: rle.encode(mask) for key, mask in result.predictions.items()}
+    write_masks([("slgaussian", result.scene, masks)], tmp_path)
     export_masks(tmp_path / "masks.parquet", tmp_path / "run" / "predictions")
     return tmp_path / "run"
 

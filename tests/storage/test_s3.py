@@ -1,6 +1,8 @@
 """A store on a real S3 server (moto): missing rights, no network, killed writers."""
 
+import errno
 import urllib.request
+from collections import Counter
 
 import pytest
 from contents import labels
@@ -95,3 +97,41 @@ def test_a_server_that_does_not_answer_is_no_damage(bucket, fresh, monkeypatch):
     with pytest.raises(InputError, match=r"cannot read there .*AWS_ENDPOINT_URL") as error:
         Records(ArtifactStore(bucket)).find(f"masks/v1/{'0' * 64}")
     assert "hidden" not in str(error.value)
+
+
+def test_a_stage_makes_three_requests_cold_and_two_if_cached(store, monkeypatch):
+    counts, call = Counter(), s3fs.S3FileSystem._call_s3
+
+    async def count(self, method, *arguments, **named):
+        counts[method] += 1
+        return await call(self, method, *arguments, **named)
+
+    monkeypatch.setattr(s3fs.S3FileSystem, "_call_s3", count)
+    records, key = Records(store), f"masks/v1/{'0' * 64}"
+    assert records.find(key) is None
+    ref = store.put("labels", labels())
+    records.keep(key, ref)
+    assert counts == {"get_object": 1, "put_object": 2}
+    counts.clear()
+    assert records.find(key) == ref
+    assert counts == {"get_object": 1, "head_object": 1}
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_a_damaged_file_is_replaced_also_where_writes_have_no_conditions(
+    store, monkeypatch, refused
+):
+    upload = s3fs.S3FileSystem._pipe_file
+
+    async def refuse(self, *arguments, mode="overwrite", **named):
+        if mode == "create":
+            raise OSError(errno.ENOSYS, "A header you provided implies functionality ...")
+        return await upload(self, *arguments, **named)
+
+    if refused:
+        monkeypatch.setattr(s3fs.S3FileSystem, "_pipe_file", refuse)
+    ref = store.put("labels", labels())
+    whole = store.read(ref.uri)
+    store.write(ref.uri, whole[:50])
+    assert store.put("labels", labels()) == ref
+    assert store.read(ref.uri) == whole
