@@ -28,9 +28,8 @@ def inspect(place: str | Path) -> Iterator[dict[str, Any]]:
     store does not answer.
 
     Yields rows with ``path``, ``spec``, ``meaning``, ``fields`` (unit and meaning by name),
-    ``made`` (provenance in the file), ``bytes`` and ``digest``, the SHA-256 of the content of
-    tables and arrays, and of other files as a whole. ``problem`` describes damage or a broken spec,
-    else "".
+    ``made`` (provenance in the file) and ``digest``, the SHA-256 of the content of tables and
+    arrays, and of other files as a whole. ``problem`` describes damage or a broken spec, else "".
     """
     row = None
     for row in _inspect_store(str(place)) if is_store(place) else _inspect_folder(Path(place)):
@@ -46,20 +45,17 @@ def is_store(place: str | Path) -> bool:
 
 def summarize(rows: Iterable[Mapping[str, Any]]) -> tuple[list[str], list[Mapping[str, Any]]]:
     """Return the lines of a table of files by stage and spec, and the rows with a problem."""
-    counts, sizes, bad = Counter[tuple[str, str]](), Counter[tuple[str, str]](), []
+    counts, bad = Counter[tuple[str, str]](), []
     for row in rows:
         if row["problem"]:
             bad.append(row)
             continue
         made = row["made"]
         version = f" v{made['stage_version']}" if "stage_version" in made else ""
-        key = f"{made.get('stage', 'unknown')}{version}", row["spec"]
-        counts[key] += 1
-        sizes[key] += row["bytes"]
-    lines = [f"{'stage':<24}{'spec':<32}{'files':>10}{'MB':>12}"]
+        counts[f"{made.get('stage', 'unknown')}{version}", row["spec"]] += 1
+    lines = [f"{'stage':<24}{'spec':<32}{'files':>12}"]
     for (stage, spec), count in sorted(counts.items()):
-        megabytes = sizes[stage, spec] / 1e6
-        lines.append(f"{stage:<24}{spec:<32}{count:>10,}{megabytes:>12,.1f}")
+        lines.append(f"{stage:<24}{spec:<32}{count:>12,}")
     return lines, bad
 
 
@@ -90,7 +86,7 @@ def _inspect_store(url: str) -> Iterator[dict[str, Any]]:
 
 def _row(file: str, describe: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     row: dict[str, Any] = {"path": file, "spec": "", "meaning": "", "fields": {}}
-    row |= {"bytes": 0, "digest": "", "made": {}, "problem": ""}
+    row |= {"digest": "", "made": {}, "problem": ""}
     try:
         return row | describe()
     except SpecError as error:
@@ -121,11 +117,9 @@ def _describe(file: str, data: bytes) -> dict[str, Any]:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise SpecError(f"{file}: is damaged ({reason}); {REPAIR}") from error
     digest, origin = hashlib.sha256(data).hexdigest(), metadata.get("made", {})
-    size = {"bytes": len(data)}
     is_artifact = len(path.stem) == len(digest)
     if path.suffix == ".safetensors":
-        made = metadata.get("__metadata__", {})
-        return {"meaning": "Weights.", "digest": digest, "made": made, **size}
+        return {"meaning": "Weights.", "digest": digest, "made": metadata.get("__metadata__", {})}
     by_file = {load_spec(name).file: name for name in spec_names()}
     name = parse_label(label)[0] if label else by_file.get(path.name, "")
     if name not in spec_names() or load_spec(name).suffix != path.suffix:
@@ -141,7 +135,7 @@ def _describe(file: str, data: bytes) -> dict[str, Any]:
         origin = {key: metadata[key] for key in keys if key in metadata}
     if is_artifact and path.stem != digest:
         raise mismatch(file, "digest", digest[:12], "that of its name")
-    return {**_describe_spec(name), "digest": digest, "made": origin, **size}
+    return {**_describe_spec(name), "digest": digest, "made": origin}
 
 
 @cache  # a store has many files of a spec

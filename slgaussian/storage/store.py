@@ -305,16 +305,7 @@ class ArtifactStore:
 
     def write(self, uri: str, data: bytes) -> None:
         """Write a file atomically; StoreError if that fails."""
-        path = f"{self.path}/{uri}"
-
-        def write_file() -> None:
-            if self.local:
-                os.makedirs(os.path.dirname(path), exist_ok=True)
-                write_atomic(path, data, sync=True)
-            else:
-                self._upload(path, data)
-
-        self._ask("write", write_file)
+        self._ask("write", partial(self._write, uri, data))
 
     def _create(self, uri: str, data: bytes) -> bool:
         """Write a file of a bucket in one request if there is none; return whether it was written.
@@ -322,15 +313,19 @@ class ArtifactStore:
         A server that ignores the condition replaces the file by one of the same content.
         """
         with suppress(OSError):  # it exists, or the server cannot do this; other errors come again
-            upload = partial(self._upload, f"{self.path}/{uri}", data, mode="create")
-            self._ask("write", upload, OSError)
+            self._ask("write", partial(self._write, uri, data, mode="create"), OSError)
             return True
         return False
 
-    def _upload(self, path: str, data: bytes, **options: str) -> None:
-        # A single put or a multipart upload, both of which are atomic.
-        size = {} if self.near else {"chunksize": UPLOAD_PART_BYTES}
-        self.fs.pipe_file(path, data, **size, **options)
+    def _write(self, uri: str, data: bytes, **options: str) -> None:
+        path = f"{self.path}/{uri}"
+        if self.local:
+            os.makedirs(os.path.dirname(path), exist_ok=True)
+            write_atomic(path, data, sync=True)
+        else:
+            # A single put or a multipart upload, both of which are atomic.
+            size = {} if self.near else {"chunksize": UPLOAD_PART_BYTES}
+            self.fs.pipe_file(path, data, **size, **options)
 
     def remove(self, uris: Iterable[str]) -> None:
         """Delete files; missing files are ignored. StoreError if that fails."""
