@@ -44,7 +44,8 @@ def encode(mask: np.ndarray) -> RunLengths:
         unfinished = unfinished & (values != np.where(low & 16, -1, 0))
         groups.append((_FIRST + low + 32 * unfinished).astype(np.uint8))
     counts = np.stack(groups, 1)[np.stack(written, 1)].tobytes().decode("ascii")
-    return RunLengths(*mask.shape, counts)
+    height, width = mask.shape
+    return RunLengths(height, width, counts)
 
 
 def decode(counts: str | Sequence[int], height: int, width: int) -> np.ndarray:
