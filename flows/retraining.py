@@ -18,11 +18,11 @@ from prefect.states import State
 
 from flows import corpus
 from flows.config import RetrainSettings, Training
-from flows.runners.session import MAX_ROWS, check_folder, final, publish, run_session, writing
+from flows.runners.session import check_folder, final, publish, run_session, writing
 from flows.training import FILES, parted, read_lessons, read_places, train_on
 from slgaussian.benchmark.reports.model import append_section, data_uri
 from slgaussian.benchmark.reports.retrainings import history_plot, history_section
-from slgaussian.benchmark.retrainings import History, count_lessons, score_columns
+from slgaussian.benchmark.retrainings import History, count_lessons, score_columns, summaries
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.io import write_atomic
@@ -94,8 +94,8 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted`` and
     ``NothingNew`` are of type Completed, ``Refused`` and ``Regressed`` of type Failed, ``Busy`` of
-    type Cancelled; an error fails the run. A record and a Prefect artifact have the scores, the
-    decision and what was left out.
+    type Cancelled; an error fails the run. The history in the folder of versions and Prefect
+    artifacts have the scores, the decision and what was left out.
 
     Raises:
         InputError: As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
@@ -123,9 +123,10 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
         outcome, messages = "nothing new", [learnt.message]
         if version is not None:
             outcome = "promoted" if version.promoted else "refused"
-            row |= score_columns(read_table(config.out / FILES["judgements"]))
-            row |= history.compare_lessons(lessons, config.out, version.number)
             row["version"] = version.number
+            row |= score_columns(read_table(config.out / FILES["judgements"]))
+            pairs = config.out / corpus.FILES["pairs"]
+            row |= history.compare_lessons(lessons, pairs, version.number)
         if learnt.regressed:
             outcome = "regressed"
             end = f"`slgaussian versions {config.models} --use none` ends it"
@@ -144,12 +145,12 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
             row |= {"reason": "; ".join(messages), "seconds": time.perf_counter() - start}
             with writing(config.models):
                 history.add(row)
-                _report(history, config, row, messages)
+                _report(history.table, config, row, messages)
     return Retraining(row["outcome"], tuple(messages))
 
 
 def _report(
-    history: History, config: RetrainSettings, row: Mapping[str, Any], messages: Sequence[str]
+    history: pa.Table, config: RetrainSettings, row: Mapping[str, Any], messages: Sequence[str]
 ) -> None:
     """Write the plot of the history, add it to the page of the training, publish both."""
     plot = history_plot(history)
@@ -163,7 +164,7 @@ def _report(
     picture = f"![IoU by version]({data_uri(plot, 'png')})"
     text = "\n\n".join([f"# Retraining: {row['outcome']}", *messages, picture])
     publish(ARTIFACT, append_section(text, "md", section), "Outcome, reasons and history")
-    publish(HISTORY, history.summaries(MAX_ROWS), "Retrainings, the latest first")
+    publish(HISTORY, summaries(history), "Retrainings, the latest first")
 
 
 def learn(

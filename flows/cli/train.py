@@ -13,9 +13,6 @@ from flows.config import RetrainSettings, TrainSettings
 from flows.read_config import checked, read_toml
 from slgaussian.errors import InputError
 
-LISTED = 5
-"""Number of retrainings that `versions` lists."""
-
 
 @options.configured("preset", "steps", "seed", "store", model=TrainSettings)
 def train(
@@ -102,7 +99,7 @@ def versions(
     slgaussian versions models --use none
     """
     from slgaussian.benchmark.reports.text_table import table_text
-    from slgaussian.benchmark.retrainings import History
+    from slgaussian.benchmark.retrainings import read_history, summaries
     from slgaussian.semantic.versions import Versions
 
     folder = Versions(models)
@@ -125,6 +122,6 @@ def versions(
         rows.append([f"{version.number}{mark}", *facts])
     typer.echo(table_text(rows, "<>>>><"))
     typer.echo("none is in use" if current is None else f"* in use: version {current.number}")
-    if recent := History(models).summaries(LISTED):
+    if recent := summaries(read_history(models)):
         table = table_text([list(recent[0]), *(list(row.values()) for row in recent)], "<<")
         typer.echo(f"\nlast retrainings in {models / 'history.parquet'}\n{table}")

@@ -132,8 +132,8 @@ class Progress:
 
     def _publish(self) -> None:
         """Update the Prefect artifact of the flow run on an external server, when it is time."""
-        run, now = flow_run.id, time.perf_counter()
-        if NO_EVENTS in os.environ or run is None or now < self.publish_at:
+        now = time.perf_counter()
+        if now < self.publish_at or NO_EVENTS in os.environ or (run := flow_run.id) is None:
             return
         self.publish_at = now + PUBLISH_SECONDS
         share = 100.0 * self.steps / self.total if self.total else 100.0

@@ -16,11 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from uuid import UUID
 
-from prefect.artifacts import (
-    create_link_artifact,
-    create_markdown_artifact,
-    create_table_artifact,
-)
+from prefect import artifacts
 from prefect.client.orchestration import get_client
 from prefect.client.schemas.filters import (
     FlowRunFilter,
@@ -206,12 +202,13 @@ def publish(key: str, content: str | Path | Sequence[dict[str, Any]], descriptio
         return
     try:
         if isinstance(content, Path):
-            file = content.resolve()
-            description += f": `{file}` on {platform.node()}"
-            create_link_artifact(file.as_uri(), file.name, key, description)
+            file, machine = content.resolve(), platform.node()
+            artifacts.create_link_artifact(
+                file.as_uri(), file.name, key, f"{description}: `{file}` on {machine}"
+            )
         elif isinstance(content, str):
-            create_markdown_artifact(content, key, description)
+            artifacts.create_markdown_artifact(content, key, description)
         else:
-            create_table_artifact(list(content[:MAX_ROWS]), key, description)
+            artifacts.create_table_artifact(list(content[:MAX_ROWS]), key, description)
     except Exception as error:  # the run continues without its artifact
         logger.warning("an artifact was not created: %s", error)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, interval
 from slgaussian.kernels.seeding import rng_for
@@ -26,33 +25,30 @@ GRID = 256
 ROUNDING = 1e-9
 """Tolerance of distances: one is beyond noise if it is larger by more than this."""
 
+LISTS = (
+    "quantities",
+    "medians_then",
+    "medians_now",
+    "drifts",
+    "drift_lows",
+    "drift_highs",
+    "noises",
+)
+"""Columns of spec ``history`` on drift."""
+
 DIGITS = 16
 """Hexadecimal digits by which a clip is recognised."""
 
 
-def lesson_distributions(
-    lessons: pa.Table, pairs: pa.Table, views: pa.Table, version: int
-) -> pa.Table:
-    """Return a table of spec ``distributions``, a row per lesson, ordered by sample.
-
-    ``lessons`` and ``pairs`` are tables of these specs, ``views`` has the columns ``clip`` and
-    ``mean`` of its spec at least.
-    """
+def lesson_distributions(lessons: pa.Table, pairs: pa.Table, version: int) -> pa.Table:
+    """Return a table of spec ``distributions``, a row per lesson, of tables of their specs."""
     spec = load_spec("distributions")
-    grey = views.group_by("clip").aggregate([("mean", "mean")])
     pairs = pairs.select(["sample", "overlap", "baseline", "depth", "blur", "clipped"])
-    table = lessons.drop_columns(["chunk"]).join(pairs, "sample").join(grey, "clip")
-    table = table.sort_by("sample")
-    digests = [hashlib.sha256(clip.encode()).hexdigest() for clip in table["clip"].to_pylist()]
-    objects = table["objects"].cast(pa.float64())
-    columns = {name: table[name] for name in table.column_names if name in spec.columns} | {
-        "version": [version] * table.num_rows,
-        "clip": [digest[:DIGITS] for digest in digests],
-        "objects": objects,
-        "shared": pc.divide(table["shared"].cast(pa.float64()), pc.max_element_wise(objects, 1.0)),
-        "brightness": table["mean_mean"],
-    }
-    return pa.table({name: columns[name] for name in spec.columns}, schema=spec.schema)
+    rows = lessons.drop_columns(["chunk"]).join(pairs, "sample").sort_by("sample").to_pylist()
+    for row in rows:
+        row["version"], row["shared"] = version, row["shared"] / max(1, row["objects"])
+        row["clip"] = hashlib.sha256(row["clip"].encode()).hexdigest()[:DIGITS]
+    return pa.Table.from_pylist(rows, schema=spec.schema)
 
 
 def compare_lessons(then: pa.Table, now: pa.Table) -> dict[str, list[Any]]:
@@ -65,8 +61,8 @@ def compare_lessons(then: pa.Table, now: pa.Table) -> dict[str, list[Any]]:
     Returns:
         The columns of spec ``history`` on drift.
     """
-    both = pa.concat_arrays([*then["clip"].chunks, *now["clip"].chunks]).to_pylist()
-    clips, numbers = np.unique(both, return_inverse=True)
+    named = then["clip"].to_pylist() + now["clip"].to_pylist()
+    clips, numbers = np.unique(named, return_inverse=True)
     sides = numbers[: then.num_rows], numbers[then.num_rows :]
     present = [np.isin(np.arange(len(clips)), side).astype(float) for side in sides]
     names = [name for name in now.column_names if name not in ("version", "clip")]
@@ -88,18 +84,11 @@ def compare_lessons(then: pa.Table, now: pa.Table) -> dict[str, list[Any]]:
         chance = [
             _distance((latest, latest), [side[order] for side in present]) for order in orders
         ]
-        rows.append(
-            {
-                "quantities": name,
-                "drifts": _distance(counts, present),
-                "drift_lows": low,
-                "drift_highs": high,
-                "noises": float(np.quantile(chance, level)),
-                "medians_then": float(np.median(values[0])),
-                "medians_now": float(np.median(values[1])),
-            }
-        )
-    return {column: [row[column] for row in rows] for column in rows[0]}
+        medians = (float(np.median(column)) for column in values)
+        noise = float(np.quantile(chance, level))
+        rows.append((name, *medians, _distance(counts, present), low, high, noise))
+    columns = map(list, zip(*rows, strict=True))
+    return dict(zip(LISTS, columns, strict=True))
 
 
 def drifted(row: dict[str, Any]) -> list[str]:

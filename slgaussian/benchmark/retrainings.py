@@ -21,19 +21,22 @@ from slgaussian.storage.tables import read_table
 COLUMNS = {"branch": "candidate", "before": "before", "hard": "hard", "filled": "filled"}
 """Beginnings of the columns of scores, by lifting."""
 
+LISTED = 10
+"""Number of retrainings in tables for readers."""
+
 
 class History:
-    """The history in a folder of versions, and what the lessons of the last version were like.
+    """The history in a folder of versions, to add a retraining to.
 
-    Both are read at once, so that a damaged file ends a retraining before its work.
+    All is read at once, so that a damaged file ends a retraining before its work.
 
     Raises:
-        SpecError: If a file is damaged, or of another version of the program.
+        SpecError: As :func:`read_history`.
     """
 
     def __init__(self, models: Path) -> None:
         self.models = models
-        self.table, self._last_lessons = self._read("history"), self._read("distributions")
+        self.table, self._last_lessons = read_history(models), _read(models, "distributions")
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row with the time and write ``history.parquet``; what the row lacks is empty."""
@@ -44,39 +47,40 @@ class History:
         self.table = pa.concat_tables([self.table.cast(schema), added])
         self._write("history", self.table)
 
-    def compare_lessons(self, lessons: pa.Table, corpus: Path, version: int) -> dict[str, Any]:
+    def compare_lessons(self, lessons: pa.Table, pairs: Path, version: int) -> dict[str, Any]:
         """Compare lessons with those of the last version; return the columns of a row on drift.
 
-        The lessons of ``version`` replace those of the last in ``distributions.parquet``.
-
-        Args:
-            lessons: table of spec ``lessons``
-            corpus: Folder with ``pairs.parquet`` and ``views.parquet``.
+        Then they replace those in ``distributions.parquet``. ``lessons`` is a table of this spec,
+        ``pairs`` the file of their samples, ``version`` the one that learnt from them.
         """
-        pairs = read_table(corpus / "pairs.parquet")
-        views = read_table(corpus / "views.parquet", ["clip", "mean"])
-        now, then = lesson_distributions(lessons, pairs, views, version), self._last_lessons
+        now, then = lesson_distributions(lessons, read_table(pairs), version), self._last_lessons
         self._write("distributions", now)
         if not then.num_rows:
             return {}
         return {"against": then["version"][0].as_py(), **compare_lessons(then, now)}
 
-    def summaries(self, last: int) -> list[dict[str, str]]:
-        """Return the last rows as texts by heading, the latest first."""
-        return [_summary(row) for row in reversed(self.table.to_pylist()[-last:])]
-
-    def _read(self, name: str) -> pa.Table:
-        spec = load_spec(name)
-        file = self.models / spec.file
-        if not file.exists():
-            return spec.schema.empty_table()
-        repair = "move it elsewhere, and a new one begins"
-        return decode_table(file.read_bytes(), spec, str(file), repair)
-
     def _write(self, name: str, table: pa.Table) -> None:
         spec = load_spec(name)
         spec.check_table(table, spec.file)
         write_atomic(self.models / spec.file, encode_table(table, spec))
+
+
+def read_history(models: Path) -> pa.Table:
+    """Read the history in a folder of versions; without a row if there is none.
+
+    Raises:
+        SpecError: If the file is damaged, or of another version of the program.
+    """
+    return _read(models, "history")
+
+
+def _read(models: Path, name: str) -> pa.Table:
+    spec = load_spec(name)
+    file = models / spec.file
+    if not file.exists():
+        return spec.schema.empty_table()
+    repair = "move it elsewhere, and a new one begins"
+    return decode_table(file.read_bytes(), spec, str(file), repair)
 
 
 def count_lessons(lessons: pa.Table, places: Mapping[str, str]) -> dict[str, int]:
@@ -99,6 +103,11 @@ def score_columns(judgements: pa.Table) -> dict[str, float]:
         if len(scores) > 1:
             columns[f"{name}_low"], columns[f"{name}_high"] = interval_of_mean(np.array(scores))
     return columns
+
+
+def summaries(history: pa.Table) -> list[dict[str, str]]:
+    """Return the last :data:`LISTED` rows as texts by heading, the latest first."""
+    return [_summary(row) for row in reversed(history.to_pylist()[-LISTED:])]
 
 
 def _summary(row: dict[str, Any]) -> dict[str, str]:

@@ -15,17 +15,15 @@ from slgaussian.benchmark.reports.model import Picture, data_uri
 REMOVED_METADATA = ("Date", "Creator", "Format", "Type")
 """Metadata keys of Matplotlib that are removed from a picture."""
 
-PNG_DPI = 144
-
-COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#1d2330"
-"""Colours of series, which colour-blind readers tell apart (Okabe and Ito 2008)."""
-
-MUTED_COLOUR, ACCENT_COLOUR = "#667085", COLOURS[0]
+MUTED_COLOUR, ACCENT_COLOUR = "#667085", "#0072B2"
 
 STYLE = {
     "svg.hashsalt": "slgaussian",
     "svg.fonttype": "path",
     "font.size": 9.5,
+    # Colours that colour-blind readers tell apart (Okabe and Ito 2008).
+    "axes.prop_cycle": "cycler(color=['#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', "
+    "'#56B4E9', '#1d2330'])",
     "axes.edgecolor": "#d5dae2",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -37,20 +35,16 @@ STYLE = {
 
 def svg_picture(draw: Callable[[Axes], None], size: tuple[float, float], caption: str) -> Picture:
     """Return a plot of ``size`` inches that a function draws as a picture of a report."""
-    svg = re.sub(rb"<!DOCTYPE[^>]*>\s*", b"", _plot(draw, size, "svg"), flags=re.DOTALL)
+    svg = re.sub(rb"<!DOCTYPE[^>]*>\s*", b"", plot(draw, size, "svg"), flags=re.DOTALL)
     return Picture(data_uri(svg, "svg+xml"), caption, caption)
 
 
-def png_bytes(draw: Callable[[Axes], None], size: tuple[float, float]) -> bytes:
-    """Return a plot of ``size`` inches that a function draws as the bytes of a PNG file."""
-    return _plot(draw, size, "png")
-
-
-def _plot(draw: Callable[[Axes], None], size: tuple[float, float], form: str) -> bytes:
+def plot(draw: Callable[[Axes], None], size: tuple[float, float], form: str) -> bytes:
+    """Return a plot of ``size`` inches that a function draws as a file, ``svg`` or ``png``."""
     out = io.BytesIO()
-    metadata = dict.fromkeys(REMOVED_METADATA) if form == "svg" else {"Software": None}
+    metadata = dict.fromkeys(REMOVED_METADATA if form == "svg" else ["Software"])
     with matplotlib.rc_context(STYLE):
-        figure = Figure(size, layout="constrained")
+        figure = Figure(size, dpi=144, layout="constrained")
         draw(figure.subplots())
-        figure.savefig(out, format=form, metadata=metadata, dpi=PNG_DPI)
+        figure.savefig(out, format=form, metadata=metadata)
     return out.getvalue()

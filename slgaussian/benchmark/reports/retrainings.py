@@ -6,78 +6,70 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
 from matplotlib.axes import Axes
 
-from slgaussian.benchmark.drift import drifted
+from slgaussian.benchmark.drift import LISTS, drifted
 from slgaussian.benchmark.reports import model
-from slgaussian.benchmark.reports.figures import COLOURS, png_bytes
-from slgaussian.benchmark.retrainings import COLUMNS, History
+from slgaussian.benchmark.reports.figures import plot as draw_plot
+from slgaussian.benchmark.retrainings import COLUMNS, summaries
 
 SIZE = 7.4, 3.4
 """Size of the plot, inches."""
 
-MAX_ROWS = 10
-"""Largest number of retrainings in the table."""
-
 CAPTION = (
     "IoU of candidates and their rivals on held-out lessons, which change with the corpus, and "
-    "intervals; a filled circle is a promotion"
+    "intervals"
 )
+
+DRIFT_HEADS = ["Quantity", "Median then", "Median now", "Distance", "Low", "High", "Noise", "Drift"]
 
 DRIFT_NOTE = (
     "**Distance**: largest difference of the cumulative distributions over lessons (Kolmogorov and "
-    "Smirnov), with a bootstrap interval over clips. **Noise**: a random exchange of clips between "
-    "the two versions exceeds it, in any row, with a chance of 5 % at most."
+    "Smirnov). **Low**, **high**: its bootstrap interval over clips. **Noise**: a random exchange "
+    "of clips between the versions exceeds it, in any row, with a chance of 5 % at most."
 )
 
 
-def history_section(history: History, plot: bytes) -> model.Section:
+def history_section(history: pa.Table, plot: bytes) -> model.Section:
     """Return the section of a history with a row at least; ``plot`` is :func:`history_plot`."""
-    summaries = history.summaries(MAX_ROWS)
+    rows = summaries(history)
     picture = model.Picture(model.data_uri(plot, "png"), CAPTION, CAPTION)
-    rows = [list(summary.values()) for summary in summaries]
     blocks: list[model.Block] = [
         model.Gallery([picture], "grid plots"),
-        model.Table(list(summaries[0]), rows),
+        model.Table(list(rows[0]), (row.values() for row in rows)),
     ]
-    last = history.table.to_pylist()[-1]
+    last = history.to_pylist()[-1]
     if last["against"]:
+        names, *numbers = (last[name] for name in LISTS)
+        answers = ["yes" if name in drifted(last) else "no" for name in names]
+        texts = ([f"{value:.3g}" for value in column] for column in numbers)
         title = f"Drift of the lessons against those of version {last['against']}"
-        heads = ["Quantity", "Median then", "Median now", "Distance", "Noise", "Beyond noise"]
-        blocks.append(model.Table(heads, _drift_rows(last), title, [DRIFT_NOTE]))
+        lines = zip(names, *texts, answers, strict=True)
+        blocks.append(model.Table(DRIFT_HEADS, lines, title, [DRIFT_NOTE]))
     return model.Section("Retrainings", blocks, "retrainings")
 
 
-def _drift_rows(row: dict[str, Any]) -> list[list[model.Cell | str]]:
-    beyond, lines = drifted(row), []
-    for place, name in enumerate(row["quantities"]):
-        numbers = (row[c][place] for c in ("medians_then", "medians_now", "drifts", "noises"))
-        then, now, drift, noise = numbers
-        ends = f"{row['drift_lows'][place]:.3f}–{row['drift_highs'][place]:.3f}"
-        distance = model.Cell(f"{drift:.3f}", ends)
-        answer = "yes" if name in beyond else "no"
-        lines.append(
-            [name.replace("_", " "), f"{then:.3g}", f"{now:.3g}", distance, f"{noise:.3f}", answer]
-        )
-    return lines
-
-
-def history_plot(history: History) -> bytes:
+def history_plot(history: pa.Table) -> bytes:
     """Return a plot of the scores of all candidates as the bytes of a PNG file."""
-    rows = [row for row in history.table.to_pylist() if row["candidate_iou"] is not None]
-    return png_bytes(partial(_draw, rows), SIZE)
+    rows = [row for row in history.to_pylist() if row["candidate_iou"] is not None]
+    return draw_plot(partial(_draw, rows), SIZE, "png")
 
 
 def _draw(rows: Sequence[Mapping[str, Any]], axes: Axes) -> None:
-    for colour, name in zip(COLOURS, COLUMNS.values(), strict=False):
+    for name in COLUMNS.values():
         known = [(x, row) for x, row in enumerate(rows) if row[f"{name}_iou"] is not None]
         ious = [row[f"{name}_iou"] for _, row in known]
-        axes.plot([x for x, _ in known], ious, ".-", color=colour, lw=1, label=name)
+        (line,) = axes.plot([x for x, _ in known], ious, ".-", lw=1, label=name)
         for x, row in known:
             if row[f"{name}_low"] is not None:
-                axes.vlines(x, row[f"{name}_low"], row[f"{name}_high"], color=colour, alpha=0.4)
-            if name == "candidate" and row["outcome"] == "promoted":
-                axes.plot(x, row["candidate_iou"], "o", color=colour, ms=9)
+                ends = row[f"{name}_low"], row[f"{name}_high"]
+                axes.vlines(x, *ends, color=line.get_color(), alpha=0.4)
+    promoted = [
+        (x, row["candidate_iou"]) for x, row in enumerate(rows) if row["outcome"] == "promoted"
+    ]
+    axes.plot(*np.reshape(promoted, (-1, 2)).T, "o", ms=9, mfc="none", color="C0", label="promoted")
     axes.set_xticks(range(len(rows)), [str(row["version"]) for row in rows])
     axes.set(xlabel="version", ylabel="IoU")
     axes.grid()

@@ -7,20 +7,14 @@ from functools import partial
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from slgaussian.benchmark.costs import Cost, Times
-from slgaussian.benchmark.reports.figures import COLOURS, MUTED_COLOUR, svg_picture
-from slgaussian.benchmark.reports.model import (
-    Block,
-    Column,
-    Gallery,
-    Prose,
-    Table,
-    number,
-    values_table,
-)
+from slgaussian.benchmark.reports import model
+from slgaussian.benchmark.reports.figures import MUTED_COLOUR, svg_picture
+from slgaussian.benchmark.reports.model import Block, Column, Prose, Table, number
 from slgaussian.benchmark.reports.score_tables import score_cell
 from slgaussian.benchmark.scores import of_first_protocol, score_table
 
@@ -43,13 +37,8 @@ STAGES_CAPTION = (
 FIGURES = {"scene": "seconds for a scene", "query": "seconds for a query in a new view"}
 """Horizontal axes of the figures of speed and error, by the word in the table."""
 
-FIGURE_SIZE = 5.2, 3.4
-"""Inches, without the legend; and the height of its rows."""
-
-LEGEND_ROW = 0.21
-
-MARKERS = "osD^vP*X<>"
-"""Markers of methods, repeated with other colours."""
+FIGURE_SIZE, LEGEND_ROW = (5.2, 3.4), 0.21
+"""Size of a figure without its legend, and height of a row of the legend, inches."""
 
 
 def speed_blocks(
@@ -85,7 +74,7 @@ def speed_blocks(
     blocks += [_paper_costs(cost, times) for cost in times.costs if cost.method == times.paper]
     if times.stages:
         blocks.append(_stages_table(times))
-    return [*blocks, values_table(times.host, "Machine")]
+    return [*blocks, model.values_table(times.host, "Machine")]
 
 
 def _scores_by_cost(
@@ -98,23 +87,16 @@ def _scores_by_cost(
 
     The error of a method is 1 - IoU; if no method has an IoU, the RMS error of held-out views.
     """
-    errors = {name: 1 - row["value"] for name, row in ious.items() if row}
-    bounds = {name: (1 - row["high"], 1 - row["low"]) for name, row in ious.items()
-              if row and row["low"] is not None}  # fmt: skip
-    label = "error, 1 − IoU"
+    label, errors = "error, 1 − IoU", {name: 1 - row["value"] for name, row in ious.items() if row}
     if not errors:
         label = "RMS error of held-out views"
         errors = {name: 10 ** (-value / 20) for name, value in decibels.items()}
-    costs = sorted(costs, key=lambda cost: errors.get(cost.method, 1))
-    seconds = {
-        "scene": {cost.method: cost.total for cost in costs},
-        "query": {cost.method: cost.view_query for cost in costs},
-    }
-    points = {
-        kind: {name: (time, errors[name]) for name, time in of.items() if time and name in errors}
-        for kind, of in seconds.items()
-    }
-    fronts = {kind: pareto_front(list(of.values())) for kind, of in points.items()}
+    points: dict[str, dict[str, tuple[float, float]]] = {kind: {} for kind in FIGURES}
+    for cost in (cost for cost in costs if cost.method in errors):
+        for kind, seconds in (("scene", cost.total), ("query", cost.view_query)):
+            if seconds:
+                points[kind][cost.method] = seconds, errors[cost.method]
+    fronts = {kind: pareto_front(list(named.values())) for kind, named in points.items()}
     rows = [
         [
             cost.method,
@@ -125,38 +107,37 @@ def _scores_by_cost(
             number(cost.view_query, 4),
             ", ".join(kind for kind in FIGURES if points[kind].get(cost.method) in fronts[kind]),
         ]
-        for cost in costs
+        for cost in sorted(costs, key=lambda cost: errors.get(cost.method, 1))
     ]
     heads = ["Method", "IoU", "PSNR, dB", "Build, s", "Prepare, s", "Query in a new view, s"]
-    size = FIGURE_SIZE[0], FIGURE_SIZE[1] + LEGEND_ROW * len(errors)
-    pictures = [
-        svg_picture(
-            partial(_draw_errors, points[kind], bounds, fronts[kind], (axis, label)),
-            size,
-            f"{label}, by {axis}",
-        )
-        for kind, axis in FIGURES.items()
-        if len(points[kind]) > 1
-    ]
-    table = Table([*heads, "Pareto front"], rows, title)
-    return [table, Gallery(pictures, "grid plots")] if pictures else [table]
+    blocks: list[Block] = [Table([*heads, "Pareto front"], rows, title)]
+    if len(errors) > 1:
+        size = FIGURE_SIZE[0], FIGURE_SIZE[1] + LEGEND_ROW * len(errors)
+        pictures = [
+            svg_picture(
+                partial(_draw, points[kind], ious, fronts[kind], (axis, label)),
+                size,
+                f"{label}, by {axis}",
+            )
+            for kind, axis in FIGURES.items()
+        ]
+        blocks.append(model.Gallery(pictures, "grid plots"))
+    return blocks
 
 
-def _draw_errors(
+def _draw(
     points: Mapping[str, tuple[float, float]],
-    bounds: Mapping[str, tuple[float, float]],
+    ious: Mapping[str, Row | None],
     front: Sequence[tuple[float, float]],
     labels: tuple[str, str],
     axes: Axes,
 ) -> None:
     """Draw the (seconds, error) of methods with intervals of the error, and their front."""
     for place, (name, (x, y)) in enumerate(points.items()):
-        colour = COLOURS[place % len(COLOURS)]
-        marker = MARKERS[place % len(MARKERS)]
-        axes.plot(x, y, marker, color=colour, label=name, zorder=3, gid=f"method-{place}")
-        axes.vlines(x, *bounds.get(name, (y, y)), color=colour, lw=1.2, alpha=0.6)
-    steps = sorted(set(front))
-    axes.step(*zip(*steps, strict=True), where="post", color=MUTED_COLOUR, lw=0.8)
+        (dot,) = axes.plot(x, y, "o", label=name, zorder=3, gid=f"method-{place}")
+        if (row := ious.get(name)) and row["low"] is not None:
+            axes.vlines(x, 1 - row["high"], 1 - row["low"], color=dot.get_color(), alpha=0.6)
+    axes.step(*np.transpose(sorted(set(front))), where="post", color=MUTED_COLOUR, lw=0.8)
     axes.set(xscale="log", xlabel=f"{labels[0]} (log)", ylabel=labels[1])
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
