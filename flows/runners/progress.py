@@ -8,8 +8,7 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import TextIO
-from uuid import UUID
+from typing import Any, TextIO
 
 from prefect.artifacts import create_progress_artifact, update_progress_artifact
 from prefect.runtime import flow_run
@@ -29,8 +28,8 @@ MESSAGE_SECONDS = 30.0
 PUBLISH_SECONDS = 5.0
 """Smallest time between two updates of the Prefect artifact, each of which costs some 20 ms."""
 
-ARTIFACTS: dict[str, UUID] = {}
-"""The Prefect artifact of progress of each flow run of this process."""
+ARTIFACTS: dict[str, Any] = {}
+"""Id of the Prefect artifact of progress of each flow run of this process."""
 
 
 class Progress:

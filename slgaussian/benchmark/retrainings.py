@@ -41,7 +41,7 @@ class History:
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row with the time and write ``history.parquet``; what the row lacks is empty."""
         schema = load_spec("history").schema
-        lists = {f.name: [] for f in schema if pa.types.is_list(f.type)}
+        lists: dict[str, Any] = {f.name: [] for f in schema if pa.types.is_list(f.type)}
         now = datetime.now(UTC).isoformat(timespec="seconds")
         added = pa.Table.from_pylist([{"at": now, **lists, **row}], schema=schema)
         self.table = pa.concat_tables([self.table.cast(schema), added])
