@@ -43,7 +43,7 @@ class History:
         schema = load_spec("history").schema
         lists: dict[str, Any] = {f.name: [] for f in schema if pa.types.is_list(f.type)}
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        added = pa.Table.from_pylist([{"at": now, **lists, **row}], schema=schema)
+        added = pa.Table.from_pylist([{"ended": now, **lists, **row}], schema=schema)
         self.table = pa.concat_tables([self.table.cast(schema), added])
         self._write("history", self.table)
 
@@ -116,4 +116,4 @@ def _summary(row: dict[str, Any]) -> dict[str, str]:
     counts = {name: row[name] for name in ("version", "in_use", "lessons", "clips", "places")}
     texts |= {name.replace("_", " "): "" if n is None else str(n) for name, n in counts.items()}
     drift = (", ".join(drifted(row)) or "none") if row["against"] else ""
-    return {"ended": row["at"], "outcome": row["outcome"], **texts, "drift beyond noise": drift}
+    return {"ended": row["ended"], "outcome": row["outcome"], **texts, "drift beyond noise": drift}
