@@ -68,7 +68,7 @@ REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report)]
 SWEPT_STAGES = len(STAGES) - 1
 """Number of stages of a scene in a sweep: all but attribution."""
 
-REPORT, SCORES = "slgaussian-report", "slgaussian-scores"
+PAGE, REPORT, SCORES = "slgaussian-page", "slgaussian-report", "slgaussian-scores"
 """Keys of the Prefect artifacts of a run."""
 
 RUN_FILES = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
@@ -113,8 +113,11 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     result = run_session("run", config, lambda store: _score(config, store, verbose))
     message = f"report: {result.report}" if result.report else "no report"
     if result.report is not None:
-        publish(REPORT, result.report.with_suffix(".md").read_text("utf-8"))
-        publish(SCORES, read_table(config.out / "scores.parquet").to_pylist())
+        publish(PAGE, result.report, "Report with pictures")
+        page = result.report.with_suffix(".md").read_text("utf-8")
+        publish(REPORT, page, "Report without pictures")
+        scores = read_table(config.out / "scores.parquet").to_pylist()
+        publish(SCORES, scores, "Scores by data set, method, protocol and metric, with intervals")
     return final_state(message, result, result.failures, not result.results)
 
 

@@ -5,9 +5,8 @@ The flow is used by the command line and by deployments (``prefect.yaml``).
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +18,11 @@ from prefect.states import State
 
 from flows import corpus
 from flows.config import RetrainSettings, Training
-from flows.runners.session import check_folder, final, publish, run_session
-from flows.training import parted, read_lessons, read_places, train_on
+from flows.runners.session import check_folder, final, publish, run_session, writing
+from flows.training import FILES, parted, read_lessons, read_places, train_on
+from slgaussian.benchmark.reports.model import append_section, data_uri
+from slgaussian.benchmark.reports.retrainings import history_plot, history_section
+from slgaussian.benchmark.retrainings import History, count_lessons, score_columns, summaries
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.io import write_atomic
@@ -28,6 +30,7 @@ from slgaussian.semantic.versions import Version, Versions, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
+from slgaussian.storage.tables import read_table
 
 TRAINING_SETTINGS = (*Training.model_fields, "codes", "seed")
 """Settings whose change requires a new training."""
@@ -46,11 +49,11 @@ STATE_TYPES = {
 
 LOCK = ".retrain.lock"
 
-RECORD = "retraining.json"
-"""Record of the last retraining in the output folder."""
+PLOT = "history.png"
+"""Plot of the history in the folder of versions."""
 
-ARTIFACT = "slgaussian-retraining"
-"""Key of the Prefect artifacts of retrainings."""
+ARTIFACT, HISTORY, PAGE = "slgaussian-retraining", "slgaussian-history", "slgaussian-training"
+"""Keys of the Prefect artifacts of retrainings."""
 
 NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
 """Liftings without weights. A branch that is worse than one of them is useless."""
@@ -91,8 +94,8 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted`` and
     ``NothingNew`` are of type Completed, ``Refused`` and ``Regressed`` of type Failed, ``Busy`` of
-    type Cancelled; an error fails the run. A record and a Prefect artifact have the scores, the
-    decision and what was left out.
+    type Cancelled; an error fails the run. The history in the folder of versions and Prefect
+    artifacts have the scores, the decision and what was left out.
 
     Raises:
         InputError: As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
@@ -100,7 +103,6 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     check_folder(config.out)
     try:
         with hold_lock(config.out / LOCK, "retrain"), hold_lock(config.models / LOCK, "retrain"):
-            (config.out / RECORD).unlink(missing_ok=True)  # if interrupted, there is none
             result = run_session("retrain", config, lambda store: _retrain(config, store, verbose))
     except BusyError as error:
         result = Retraining("busy", (str(error),))
@@ -109,18 +111,22 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
 
 def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Retraining:
-    start = time.perf_counter()
-    record: dict[str, Any] = {}
+    start, row, messages = time.perf_counter(), dict[str, Any](), list[str]()
+    history = History(config.models)
     try:
         failures = corpus.supervise(config, store, verbose).failures
         lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
         places = read_places(config.out / corpus.FILES["views"])
+        row |= count_lessons(lessons, places)
         learnt = learn(lessons, config, store, verbose, places)
         version, used = learnt.version, Versions(config.models).current()
         outcome, messages = "nothing new", [learnt.message]
         if version is not None:
             outcome = "promoted" if version.promoted else "refused"
-            record |= {"version": version.number, "scores": version.facts["scores"]["iou"]}
+            row["version"] = version.number
+            row |= score_columns(read_table(config.out / FILES["judgements"]))
+            pairs = config.out / corpus.FILES["pairs"]
+            row |= history.compare_lessons(lessons, pairs, version.number)
         if learnt.regressed:
             outcome = "regressed"
             end = f"`slgaussian versions {config.models} --use none` ends it"
@@ -128,21 +134,37 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
         if failures:
             first = failures[0]
             messages.append(f"left out: {len(failures)}, as {first.scene}: {first.reason}")
-        number = 0 if used is None else used.number
-        record |= {"in use": number, "outcome": outcome, "messages": messages}
+        row |= {"in_use": 0 if used is None else used.number, "outcome": outcome}
     except Exception as error:
         expected = isinstance(error, SLGaussianError)
-        reason = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
-        record = {"outcome": "failed", "messages": [reason]}
+        messages = [str(error) if expected else f"unexpected {type(error).__name__}: {error}"]
+        row["outcome"] = "failed"
         raise
     finally:
-        if "outcome" in record:  # not after a signal
-            record["seconds"] = round(time.perf_counter() - start, 1)
-            text = json.dumps(record, indent=1, ensure_ascii=False)
-            write_atomic(config.out / RECORD, text.encode())
-            paragraphs = f"# Retraining: {record['outcome']}", *record["messages"]
-            publish(ARTIFACT, "\n\n".join([*paragraphs, f"```json\n{text}\n```\n"]))
-    return Retraining(record["outcome"], tuple(record["messages"]))
+        if "outcome" in row:  # not after a signal
+            row |= {"reason": "; ".join(messages), "seconds": time.perf_counter() - start}
+            with writing(config.models):
+                history.add(row)
+                _report(history.table, config, row, messages)
+    return Retraining(row["outcome"], tuple(messages))
+
+
+def _report(
+    history: pa.Table, config: RetrainSettings, row: Mapping[str, Any], messages: Sequence[str]
+) -> None:
+    """Write the plot of the history, add it to the page of the training, publish both."""
+    plot = history_plot(history)
+    write_atomic(config.models / PLOT, plot)
+    section = history_section(history, plot)
+    if "version" in row:
+        page = config.out / FILES["report"]
+        text = append_section(page.read_text("utf-8"), "html", section)
+        write_atomic(page, text.encode())
+        publish(PAGE, page, "Report of the training, with the history")
+    picture = f"![IoU by version]({data_uri(plot, 'png')})"
+    text = "\n\n".join([f"# Retraining: {row['outcome']}", *messages, picture])
+    publish(ARTIFACT, append_section(text, "md", section), "Outcome, reasons and history")
+    publish(HISTORY, summaries(history), "Retrainings, the latest first")
 
 
 def learn(

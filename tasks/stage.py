@@ -31,7 +31,6 @@ from slgaussian.kernels import compiling, threads
 from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactRef, DamagedError
-from slgaussian.system import peak_memory
 from tasks.context import RunContext, StageEvent, current_run
 
 
@@ -108,8 +107,7 @@ class Stage:
 
     Returns the ref of the result. Its ``meta`` has the ``settings``, the digests of ``inputs``, the
     ``seconds`` of wall time and ``processor_seconds`` without those of ``compiling`` kernels, the
-    ``peak`` of memory in bytes (None if unknown), the number of ``workers``. Files that a stage
-    writes name the stage, its version and the settings.
+    number of ``workers``. Files that a stage writes name the stage, its version and the settings.
     """
 
     __qualname__: str
@@ -189,7 +187,6 @@ class Stage:
             "seconds": compiling.clock() - start,
             "processor_seconds": time.process_time() - worked - compiling.spent() + compiled,
             "compiling": compiling.spent() - compiled,
-            "peak": peak_memory(),
             "workers": run.workers,
         }
         return replace(ref, meta={**ref.meta, "settings": settings, "inputs": digests, **cost})

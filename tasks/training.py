@@ -129,7 +129,7 @@ def liftings(
     return {"hard": HardIndex(), "filled": Filled(), **learnt}
 
 
-@stage("training_report", version=8)
+@stage("training_report", version=9)
 def training_report(
     run: RunContext,
     judgements: ArtifactRef,

@@ -67,9 +67,9 @@ def retrain(
     A candidate is trained from the weights in use, and promoted if it is significantly better on
     held-out clips than these and than no network. See `versions`. A file has sources, out, models
     and other settings; options override it. cron can run it, or Prefect by `prefect.yaml`. Writes
-    OUT/retraining.json, and a Prefect artifact. The exit status is 0 if a version was promoted,
-    2 if it failed, 3 if the version was refused, 4 if the one in use is worse than none, 5 if
-    another retraining is running, 6 if nothing is new.
+    MODELS/history.parquet, a row a retraining, and Prefect artifacts. The exit status is 0 if a
+    version was promoted, 2 if it failed, 3 if the version was refused, 4 if the one in use is
+    worse than none, 5 if another retraining is running, 6 if nothing is new.
 
     \b
     slgaussian retrain --sources chunks/train --out corpus --models models
@@ -89,7 +89,7 @@ def versions(
     models: Annotated[Path, typer.Argument(help="Folder of versions.")],
     use: Annotated[str | None, typer.Option(help="Use this version, or `none`.")] = None,
 ) -> None:
-    """List the weights of `retrain`, or choose the version in use.
+    """List the weights and last retrainings of `retrain`, or choose the version in use.
 
     You may use a version that the gate refused, or stop using one that it promoted.
 
@@ -99,6 +99,7 @@ def versions(
     slgaussian versions models --use none
     """
     from slgaussian.benchmark.reports.text_table import table_text
+    from slgaussian.benchmark.retrainings import read_history, summaries
     from slgaussian.semantic.versions import Versions
 
     folder = Versions(models)
@@ -121,3 +122,6 @@ def versions(
         rows.append([f"{version.number}{mark}", *facts])
     typer.echo(table_text(rows, "<>>>><"))
     typer.echo("none is in use" if current is None else f"* in use: version {current.number}")
+    if recent := summaries(read_history(models)):
+        table = table_text([list(recent[0]), *(list(row.values()) for row in recent)], "<<")
+        typer.echo(f"\nlast retrainings in {models / 'history.parquet'}\n{table}")

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import TextIO
+from typing import Any, TextIO
 
+from prefect.artifacts import create_progress_artifact, update_progress_artifact
+from prefect.runtime import flow_run
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Column
 
 from flows.runners import logger
+from flows.runners.task_runners import NO_EVENTS
 from slgaussian.errors import one_line
 from tasks.context import StageEvent
 
 MESSAGE_SECONDS = 30.0
 """Seconds without a line, after which a long stage's message is one, without a terminal."""
+
+PUBLISH_SECONDS = 5.0
+"""Smallest time between two updates of the Prefect artifact, each of which costs some 20 ms."""
+
+ARTIFACTS: dict[str, Any] = {}
+"""Id of the Prefect artifact of progress of each flow run of this process."""
 
 
 class Progress:
@@ -49,6 +59,7 @@ class Progress:
             file=stream or sys.stderr, markup=False, highlight=False, emoji=False, soft_wrap=True
         )
         self.start = self.last_line = time.perf_counter()
+        self.publish_at = self.start
         self.active: dict[str, str] = {}
         self.of_scene: defaultdict[str, list[StageEvent]] = defaultdict(list)
         line = Column(ratio=1, no_wrap=True, overflow="ellipsis")
@@ -65,6 +76,7 @@ class Progress:
 
     def __enter__(self) -> Progress:
         self.bar.start()
+        self._publish()
         return self
 
     def __exit__(self, error: object, *_: object) -> None:
@@ -72,6 +84,8 @@ class Progress:
         if error is None:
             seconds = f"{time.perf_counter() - self.start:.1f} s in all"
             self.line(", ".join([*self._counts(), seconds]))
+            self.publish_at = 0.0
+            self._publish()
 
     def update(self, event: StageEvent) -> None:
         """Count and display a change of state of a stage."""
@@ -93,6 +107,7 @@ class Progress:
             texts.append(f"{rate:.3g} {self.unit} a minute")
         text = one_line(", ".join([*texts, *self.active.values()]))
         self.bar.update(self.bar_task, completed=self.steps, total=self.total, description=text)
+        self._publish()
 
     def lost(self, event_text: str, scenes: Sequence[str]) -> None:
         """Report a worker that died or raised an error, and uncount its scenes."""
@@ -113,6 +128,22 @@ class Progress:
         self.last_line = time.perf_counter()
         for part in text.split("\n"):
             self.console.print(one_line(part))
+
+    def _publish(self) -> None:
+        """Update the Prefect artifact of the flow run on an external server, when it is time."""
+        now = time.perf_counter()
+        if now < self.publish_at or NO_EVENTS in os.environ or (run := flow_run.id) is None:
+            return
+        self.publish_at = now + PUBLISH_SECONDS
+        share = 100.0 * self.steps / self.total if self.total else 100.0
+        text = ", ".join(self._counts() or [f"{self.steps}/{self.total} stages"])
+        try:
+            if run in ARTIFACTS:
+                update_progress_artifact(ARTIFACTS[run], share, text)
+            else:
+                ARTIFACTS[run] = create_progress_artifact(share, "slgaussian-progress", text)
+        except Exception as error:  # the run continues without its artifact
+            logger.warning("the artifact of progress was not updated: %s", error)
 
     def _counts(self) -> list[str]:
         failed = [f"{self.failed} failed"] if self.failed else []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import platform
 import signal
 import sys
 import threading
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from uuid import UUID
 
-from prefect.artifacts import create_markdown_artifact, create_table_artifact
+from prefect import artifacts
 from prefect.client.orchestration import get_client
 from prefect.client.schemas.filters import (
     FlowRunFilter,
@@ -188,19 +189,26 @@ def check_folder(out: Path) -> None:
         ) from error
 
 
-def publish(key: str, content: str | Sequence[dict[str, Any]]) -> None:
+def publish(key: str, content: str | Path | Sequence[dict[str, Any]], description: str) -> None:
     """Create a Prefect artifact on an external server; our own ends with the command.
 
     Args:
         key: Lower-case letters, digits and dashes.
-        content: Markdown, or a table, of which the first :data:`MAX_ROWS` rows are used.
+        content: Markdown, a file to link to, or a table, of which the first :data:`MAX_ROWS` rows
+            are used.
+        description: A phrase in Markdown.
     """
     if NO_EVENTS in os.environ:
         return
     try:
-        if isinstance(content, str):
-            create_markdown_artifact(content, key)
+        if isinstance(content, Path):
+            file, machine = content.resolve(), platform.node()
+            artifacts.create_link_artifact(
+                file.as_uri(), file.name, key, f"{description}: `{file}` on {machine}"
+            )
+        elif isinstance(content, str):
+            artifacts.create_markdown_artifact(content, key, description)
         else:
-            create_table_artifact(list(content[:MAX_ROWS]), key)
+            artifacts.create_table_artifact(list(content[:MAX_ROWS]), key, description)
     except Exception as error:  # the run continues without its artifact
         logger.warning("an artifact was not created: %s", error)

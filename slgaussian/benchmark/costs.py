@@ -35,10 +35,10 @@ class Cost:
 
     @property
     def total(self) -> float | None:
-        """Return the seconds from photographs to an answer in a new view."""
+        """Return the seconds from photographs to a first answer: build, prepare, query."""
         if self.build is None or self.view_query is None:
             return None
-        return self.build + self.view_query
+        return self.build + (self.prepare or 0.0) + self.view_query
 
 
 def costs_of(rows: Iterable[Row]) -> list[Cost]:
@@ -75,13 +75,11 @@ class StageCost:
 
     Attributes:
         seconds, middle: Total of all artifacts, and their median, without compiling kernels.
-        peak: Largest memory of the process until their end, bytes; None if unknown.
         compiling: Additional seconds for compiling kernels, once per installation.
     """
 
     seconds: float
     middle: float
-    peak: int | None = None
     compiling: float = 0.0
 
     @staticmethod
@@ -92,7 +90,6 @@ class StageCost:
         return StageCost(
             sum(seconds),
             median(seconds) if seconds else 0.0,
-            max(_present(artifacts, "peak"), default=None),
             sum(meta["compiling"] for meta in artifacts),
         )
 
@@ -115,7 +112,6 @@ class Times:
         return {
             "spec": load_spec("run_times").label,
             "seconds_by_stage": {name: cost.seconds for name, cost in self.stages.items()},
-            "memory_by_stage": {name: cost.peak for name, cost in self.stages.items()},
             "seconds_of_compiling": self.compiling,
             "host": dict(self.host),
         }

@@ -86,6 +86,32 @@ def test_seconds_are_appended_and_change_nothing_else(both, result):
     assert "0.1234" in page.text and page.text.index("a machine") > page.text.index("Configuration")
 
 
+OFF_SCREEN = """(() => {
+  document.querySelectorAll("details").forEach(fold => { fold.open = true; });
+  return [...document.querySelectorAll("body, section, figure, table, th, td, p, nav a")].filter(
+    part => part.offsetWidth && !part.closest(".strip")
+      && part.getBoundingClientRect().right > innerWidth
+  ).map(part => part.textContent);
+})()"""
+
+
+@pytest.mark.parametrize("width", [400, 1200])
+def test_nothing_is_off_the_screen_of_a_telephone(width, result, truth, browser, tmp_path):
+    methods = "slgaussian", "slgaussian, depth_candidates=32, min_visible=5"
+    rival = [{**row, "method": methods[1]} for row in result.rows]
+    failure = {"scene": "far_" * 20, "stage": "ingest", "reason": f"/{'long/' * 30}: not there"}
+    page = run_report([scene_of(result, truth, rival)], MANIFEST, [failure]).as_html()
+    costs = [Cost(result.dataset, name, 0.5, 0.1, 0.2, 2.0, 9) for name in methods]
+    times = Times({}, {"machine": "a machine " * 20}, costs)
+    file = tmp_path / "report.html"
+    file.write_text(with_times({"html": page}, times, [*result.rows, *rival])["html"], "utf-8")
+    with browser.open(file.as_uri(), width) as tab:
+        assert tab.evaluate(OFF_SCREEN) == []
+        assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert tab.evaluate("document.querySelectorAll('#times figure').length") == 2
+        assert tab.complaints == []
+
+
 def test_the_stage_that_lost_a_query_is_named_beside_it(result, truth):
     worst = min((r for r in leading(result) if r["iou"] is not None), key=lambda r: r["iou"])
     ious = [name for name in load_spec("attribution").columns if name.endswith("iou")]

@@ -150,7 +150,7 @@ def test_documents_are_what_their_specs_say(first):
     out = folder / "out"
     read_document((out / "manifest.json").read_bytes(), load_spec("manifest"), "m")
     times = read_document((out / "times.json").read_bytes(), load_spec("run_times"), "t")
-    assert times["spec"] == "slgaussian/run_times@4"
+    assert times["spec"] == "slgaussian/run_times@5"
     field = out / "fields" / "room" / "field.json"
     read_document(field.read_bytes(), load_spec("field_json"), "f")
     files = list(inspection.inspect(out))

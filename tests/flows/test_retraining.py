@@ -10,7 +10,7 @@ from prefect.client.orchestration import get_client
 from flows import corpus
 from flows.config import RetrainSettings
 from flows.read_config import checked
-from flows.retraining import ARTIFACT, LOCK, RECORD, STATUS, retrain
+from flows.retraining import ARTIFACT, HISTORY, LOCK, PAGE, STATUS, retrain
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import datasets
 from slgaussian.datasets import re10k
@@ -55,16 +55,17 @@ def arrive(folder: Path, clip: re10k.Clip) -> None:
 
 
 def record(folder: Path) -> dict:
-    return json.loads((folder / "corpus" / RECORD).read_text())
+    """Return the last row of the history."""
+    return pq.read_table(folder / "models" / "history.parquet").to_pylist()[-1]
 
 
-def artifact() -> str:
+def artifact(key: str = ARTIFACT) -> str:
     """Return the latest Prefect artifact of a retraining, by the server's API."""
     with get_client(sync_client=True) as client:
-        body = {"artifacts": {"key": {"any_": [ARTIFACT]}}, "sort": "CREATED_DESC", "limit": 1}
+        body = {"artifacts": {"key": {"any_": [key]}}, "sort": "CREATED_DESC", "limit": 1}
         answer = client._client.post("/artifacts/filter", json=body)
     (latest,) = answer.json()
-    assert latest["type"] == "markdown"
+    assert latest["description"]
     return latest["data"]
 
 
@@ -89,10 +90,21 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     for clip in (first, judged):
         arrive(tmp_path, clip)
     assert "version 1 stored, not promoted: too few clips" in retrain("refused")
-    output = record(tmp_path)
-    assert output["outcome"] == "refused"
+    first_row = record(tmp_path)
+    assert (first_row["outcome"], first_row["version"], first_row["against"]) == (
+        "refused",
+        1,
+        None,
+    )
+    assert (first_row["clips"], first_row["places"]) == (2, 2)
+    assert first_row["filled_iou"] > 0 and first_row["before_iou"] is None
     page = artifact()
-    assert page.startswith("# Retraining: refused\n") and '"filled": 0.' in page
+    assert page.startswith("# Retraining: refused\n") and "](data:image/png;base64," in page
+    assert (
+        '<section class="" id="retrainings">' in (tmp_path / "corpus" / "report.html").read_text()
+    )
+    report = (tmp_path / "corpus" / "report.html").resolve()
+    assert artifact(PAGE) == f"[report.html]({report.as_uri()})"
 
     # Nothing happens; then another one is on; then something damaged comes.
     assert "nothing new since version 1; no version is in use" in retrain("nothing new")
@@ -107,7 +119,10 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     (tmp_path / "withdrawn.txt").write_text(f"{first.key}\n")
     arrive(tmp_path, second)
     retrain("refused")
-    assert "before" in record(tmp_path)["scores"]
+    row = record(tmp_path)
+    assert row["before_iou"] > 0 and row["against"] == 1 and "depth" in row["quantities"]
+    assert json.loads(artifact(HISTORY))[0]["outcome"] == "refused"
+    assert "refused" in slg("versions", tmp_path / "models")[1].partition("last retrainings")[2]
     added = versions.all()[-1]
     assert (added.number, added.parent) == (2, 1)
     for table in ("views", "pairs", "lessons"):
@@ -116,14 +131,15 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     # What cannot be done is a failure with an artifact, and the next one is as good.
     config.write_text(CONFIG.replace("held_out = 0.4", "held_out = 0.01"))
     assert "held_out 0.01: found" in retrain("failed")
-    assert record(tmp_path)["outcome"] == "failed"
+    assert record(tmp_path)["reason"].startswith("held_out 0.01: found")
     assert artifact().startswith("# Retraining: failed\n\nheld_out 0.01")
     config.write_text(CONFIG)
     assert "nothing new since version 2; version 1 is in use" in retrain("nothing new")
+    (tmp_path / "models" / "history.parquet").write_bytes(b"no table")
+    assert "history.parquet: " in retrain("failed")
 
 
 def test_an_interrupted_retraining_leaves_no_record(tmp_path, monkeypatch):
-    (tmp_path / RECORD).write_text('{"outcome": "promoted"}')
     values = {"sources": ["procedural:1"], "out": tmp_path, "models": tmp_path / "models"}
 
     def interrupt(*arguments):
@@ -132,7 +148,7 @@ def test_an_interrupted_retraining_leaves_no_record(tmp_path, monkeypatch):
     monkeypatch.setattr(corpus, "supervise", interrupt)
     with pytest.raises(KeyboardInterrupt):
         retrain.fn(checked(RetrainSettings, {**values, "store": str(tmp_path)}, "retrain"))
-    assert not (tmp_path / RECORD).exists()
+    assert not (tmp_path / "models" / "history.parquet").exists()
 
 
 def test_settings_that_do_not_fit_are_one_sentence(tmp_path, refusal):

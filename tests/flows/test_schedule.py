@@ -10,7 +10,7 @@ import yaml
 from prefect.client.schemas.schedules import CronSchedule
 from prefect.flows import load_flow_from_entrypoint
 
-from flows.benchmark import REPORT, SCORES, score_scenes
+from flows.benchmark import PAGE, REPORT, SCORES, score_scenes
 from flows.config import RetrainSettings
 from flows.read_config import make_settings
 from flows.retraining import retrain
@@ -91,10 +91,16 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
     assert edges["ingest"] == set() and edges["geometry"] == {"ingest"}
     assert edges["field"] == {"ingest", "geometry", "masks", "supervision"}
     assert edges["benchmark"] == {"ingest", "truth", "geometry", "masks", "field"}
-    keys = {REPORT: "markdown", SCORES: "table"}
-    output = post(server, "artifacts/filter", {"artifacts": {"key": {"any_": list(keys)}}})
-    assert {first["key"]: first["type"] for first in output} == keys
-    assert any("IoU" in first["data"] for first in output if first["key"] == REPORT)
+    for ended in runs:
+        of_run = {"artifacts": {"flow_run_id": {"any_": [ended["flow_run"]]}}}
+        published = {first["key"]: first for first in post(server, "artifacts/filter", of_run)}
+        keys = {REPORT: "markdown", PAGE: "markdown", SCORES: "table"}
+        types = {key: first["type"] for key, first in published.items()}
+        assert types == {**keys, "slgaussian-progress": "progress"}
+        assert all(first["description"] for first in published.values())
+        assert published[PAGE]["data"] == f"[report.html]({report.as_uri()})"
+        assert "IoU" in published[REPORT]["data"]
+        assert float(published["slgaussian-progress"]["data"]) == 100
 
 
 def ended_runs(server, name: str) -> list[dict]:

@@ -3,30 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from statistics import fmean
 from typing import Any
 
-from slgaussian.benchmark.baselines import is_swept
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
+
 from slgaussian.benchmark.costs import Cost, Times
-from slgaussian.benchmark.reports.model import Block, Column, Prose, Table, number, values_table
+from slgaussian.benchmark.reports import model
+from slgaussian.benchmark.reports.figures import MUTED_COLOUR, svg_picture
+from slgaussian.benchmark.reports.model import Block, Column, Prose, Table, number
 from slgaussian.benchmark.reports.score_tables import score_cell
 from slgaussian.benchmark.scores import of_first_protocol, score_table
 
 Row = Mapping[str, Any]
 
 COSTS_CAPTION = (
-    "**Pareto front**: no other method has at least the same score in at most the same time. Times "
-    "are medians over scenes of wall time on this machine; other scenes may have run at the same "
-    "time. **Build**: from photographs to a field, which methods share. **Prepare**: additional "
-    "work of the method for each scene. If methods have "
-    "fields of their own, the time of the front is building plus query."
+    "**Pareto front**: no other method has at most the same error in at most the same time, of a "
+    "scene or of a query; in the figures a line. Bars are the intervals of the table. Times are "
+    "medians over scenes of wall time on this machine; other scenes may have run at the same time. "
+    "**Build**: from photographs to a field, which methods share unless its settings are swept. "
+    "**Prepare**: additional work of the method for each scene. **A scene**: build, prepare, and "
+    "the first query."
 )
 
 STAGES_CAPTION = (
-    "**Per scene**: median; for baselines, median over methods and scenes. **Memory**: largest "
-    "memory of the process until its end. Both were measured when the result was computed, "
-    "possibly in an earlier run."
+    "**Per scene**: median; for baselines, median over methods and scenes. Measured when the "
+    "result was computed, possibly in an earlier run."
 )
+
+FIGURES = {"scene": "seconds for a scene", "query": "seconds for a query in a new view"}
+"""Horizontal axes of the figures of speed and error, by the word in the table."""
+
+FIGURE_SIZE, LEGEND_ROW = (5.2, 3.4), 0.21
+"""Size of a figure without its legend, and height of a row of the legend, inches."""
 
 
 def speed_blocks(
@@ -56,13 +68,13 @@ def speed_blocks(
             for cost in costs
             if (values := [v for *names, v in novel if names == [dataset, cost.method]])
         }
-        blocks.append(_scores_by_cost(title, costs, scores, decibels))
+        blocks += _scores_by_cost(title, costs, scores, decibels)
     if len(blocks) > 1:
         blocks.append(Prose(COSTS_CAPTION))
     blocks += [_paper_costs(cost, times) for cost in times.costs if cost.method == times.paper]
     if times.stages:
         blocks.append(_stages_table(times))
-    return [*blocks, values_table(times.host, "Machine")]
+    return [*blocks, model.values_table(times.host, "Machine")]
 
 
 def _scores_by_cost(
@@ -70,16 +82,21 @@ def _scores_by_cost(
     costs: Sequence[Cost],
     ious: Mapping[str, Row | None],
     decibels: Mapping[str, float],
-) -> Table:
-    """Compare scores and costs of the methods of a data set, best first."""
-    values = {method: row["value"] for method, row in ious.items() if row} or decibels
-    has_fields = any(is_swept(cost.method) for cost in costs)
-    points = {
-        c.method: (seconds, values[c.method])
-        for c in costs
-        if c.method in values and (seconds := c.total if has_fields else c.view_query)
-    }
-    front = pareto_front(list(points.values()))
+) -> list[Block]:
+    """Compare scores and costs of the methods of a data set, best first, as table and figures.
+
+    The error of a method is 1 - IoU; if no method has an IoU, the RMS error of held-out views.
+    """
+    label, errors = "error, 1 − IoU", {name: 1 - row["value"] for name, row in ious.items() if row}
+    if not errors:
+        label = "RMS error of held-out views"
+        errors = {name: 10 ** (-value / 20) for name, value in decibels.items()}
+    points: dict[str, dict[str, tuple[float, float]]] = {kind: {} for kind in FIGURES}
+    for cost in (cost for cost in costs if cost.method in errors):
+        for kind, seconds in (("scene", cost.total), ("query", cost.view_query)):
+            if seconds:
+                points[kind][cost.method] = seconds, errors[cost.method]
+    fronts = {kind: pareto_front(list(named.values())) for kind, named in points.items()}
     rows = [
         [
             cost.method,
@@ -88,12 +105,46 @@ def _scores_by_cost(
             number(cost.build, 2),
             number(cost.prepare, 3),
             number(cost.view_query, 4),
-            "yes" if points.get(cost.method) in front else "",
+            ", ".join(kind for kind in FIGURES if points[kind].get(cost.method) in fronts[kind]),
         ]
-        for cost in sorted(costs, key=lambda cost: -values.get(cost.method, 0))
+        for cost in sorted(costs, key=lambda cost: errors.get(cost.method, 1))
     ]
     heads = ["Method", "IoU", "PSNR, dB", "Build, s", "Prepare, s", "Query in a new view, s"]
-    return Table([*heads, "Pareto front"], rows, title)
+    blocks: list[Block] = [Table([*heads, "Pareto front"], rows, title)]
+    if len(errors) > 1:
+        size = FIGURE_SIZE[0], FIGURE_SIZE[1] + LEGEND_ROW * len(errors)
+        pictures = [
+            svg_picture(
+                partial(_draw, points[kind], ious, fronts[kind], (axis, label)),
+                size,
+                f"{label}, by {axis}",
+            )
+            for kind, axis in FIGURES.items()
+        ]
+        blocks.append(model.Gallery(pictures, "grid plots"))
+    return blocks
+
+
+def _draw(
+    points: Mapping[str, tuple[float, float]],
+    ious: Mapping[str, Row | None],
+    front: Sequence[tuple[float, float]],
+    labels: tuple[str, str],
+    axes: Axes,
+) -> None:
+    """Draw the (seconds, error) of methods with intervals of the error, and their front."""
+    for place, (name, (x, y)) in enumerate(points.items()):
+        (dot,) = axes.plot(x, y, "o", label=name, zorder=3, gid=f"method-{place}")
+        if (row := ious.get(name)) and row["low"] is not None:
+            axes.vlines(x, 1 - row["high"], 1 - row["low"], color=dot.get_color(), alpha=0.6)
+    axes.step(*np.transpose(sorted(set(front))), where="post", color=MUTED_COLOUR, lw=0.8)
+    axes.set(xscale="log", xlabel=f"{labels[0]} (log)", ylabel=labels[1])
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(0)
+    axes.grid()
+    axes.figure.legend(loc="outside lower left", frameon=False, fontsize=8.5)
 
 
 def _paper_costs(cost: Cost, times: Times) -> Table:
@@ -118,11 +169,11 @@ def _paper_costs(cost: Cost, times: Times) -> Table:
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the (cost, value) points that no other point beats in one and equals in the other."""
+    """Return the (cost, error) points that no other point beats in one and equals in the other."""
     return [
-        (cost, value)
-        for cost, value in points
-        if not any(c <= cost and v >= value and (c, v) != (cost, value) for c, v in points)
+        (cost, error)
+        for cost, error in points
+        if not any(c <= cost and e <= error and (c, e) != (cost, error) for c, e in points)
     ]
 
 
@@ -132,9 +183,9 @@ def _stages_table(times: Times) -> Table:
     for stage, cost in times.stages.items():
         seconds = number(cost.middle, 2), number(cost.seconds, 2)
         share = f"{100 * cost.seconds / total:.0f} %"
-        rows.append([stage, *seconds, share, number(cost.peak, 0, 1e6)])
+        rows.append([stage, *seconds, share])
     note = STAGES_CAPTION
     if times.compiling >= 0.5:
         note += f" Compiling kernels, once per installation, took {times.compiling:.0f} s more."
-    heads = ["Stage", "Per scene, s", "Total, s", "Share", "Memory, MB"]
+    heads = ["Stage", "Per scene, s", "Total, s", "Share"]
     return Table(heads, rows, "Time by stage", [note])

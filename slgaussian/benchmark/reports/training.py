@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
-import re
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pyarrow as pa
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
 from slgaussian.benchmark.reports import model
+from slgaussian.benchmark.reports.figures import ACCENT_COLOUR, MUTED_COLOUR, svg_picture
 from slgaussian.benchmark.reports.score_tables import comparison_cell
 from slgaussian.benchmark.significance import clip_scores, gain
 from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES
@@ -24,22 +23,6 @@ LIFTING_DESCRIPTIONS = {
     "before": "the initial weights, or the weights in use",
 }
 """Descriptions of the liftings."""
-
-REMOVED_METADATA = ("Date", "Creator", "Format", "Type")
-"""Metadata keys of Matplotlib that are removed from a picture."""
-
-MUTED_COLOUR, ACCENT_COLOUR = "#667085", "#0072B2"
-
-STYLE = {
-    "svg.hashsalt": "slgaussian",
-    "svg.fonttype": "path",
-    "font.size": 9.5,
-    "axes.edgecolor": "#d5dae2",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": "#eef0f4",
-}
 
 SMOOTHING_SHARE = 0.02
 """Fraction of the steps over which the loss curve is averaged."""
@@ -67,12 +50,8 @@ def training_report(
         f"Intervals: {CONFIDENCE_LEVEL:.0%} paired bootstrap over clips; unreliable below "
         f"{MIN_SAMPLES} clips."
     )
-    out = io.StringIO()
-    with matplotlib.rc_context(STYLE):
-        _loss_curve(metrics).savefig(out, format="svg", metadata=dict.fromkeys(REMOVED_METADATA))
-    svg = re.sub(r"<!DOCTYPE[^>]*>\s*", "", out.getvalue(), flags=re.DOTALL)
     caption = "Loss of every step and its running mean; grey: learning rate"
-    curve = model.Picture(model.data_uri(svg.encode(), "svg+xml"), caption, caption)
+    curve = svg_picture(partial(_draw_loss, metrics), (7.4, 3.0), caption)
     sections = [
         model.Section("Scores", [model.Table(heads, rows, notes=[note])]),
         model.Section("Loss", [model.Gallery([curve], "grid plots")]),
@@ -82,10 +61,8 @@ def training_report(
     return model.Report("Training of the semantic branch", [model.Prose(summary)], sections)
 
 
-def _loss_curve(metrics: pa.Table) -> Figure:
+def _draw_loss(metrics: pa.Table, axes: Axes) -> None:
     steps, loss = metrics["step"].to_numpy(), metrics["loss"].to_numpy()
-    figure = Figure((7.4, 3.0), layout="constrained")
-    axes = figure.subplots()
     width = max(1, round(SMOOTHING_SHARE * len(steps)))
     axes.plot(steps, loss, ".", ms=2, alpha=0.25, color=ACCENT_COLOUR)
     axes.plot(
@@ -98,4 +75,3 @@ def _loss_curve(metrics: pa.Table) -> Figure:
     rate.plot(steps, metrics["rate"].to_numpy(), color=MUTED_COLOUR, lw=1)
     rate.set_ylabel("learning rate", color=MUTED_COLOUR)
     rate.set_ylim(0)
-    return figure

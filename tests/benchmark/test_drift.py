@@ -1,0 +1,66 @@
+"""Drift of lessons: distances against SciPy, noise of clips, and what is no drift."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from scipy.stats import ks_2samp
+
+from slgaussian.benchmark.drift import compare_lessons, drifted
+from slgaussian.storage.specs import load_spec
+
+SPEC = load_spec("distributions")
+QUANTITIES = [name for name in SPEC.columns if name not in ("version", "clip")]
+
+
+def lessons(clips, per_clip=3, shift=0.0, seed=0) -> pa.Table:
+    """Return lessons whose blur varies from clip to clip, and hardly within one."""
+    rows = []
+    for clip in clips:
+        rng = np.random.default_rng([seed, clip])
+        blur = 0.3 + 0.1 * rng.standard_normal() + shift
+        for _ in range(per_clip):
+            values = dict.fromkeys(QUANTITIES, 0.5) | {
+                "blur": float(np.clip(blur + 0.001 * rng.standard_normal(), 0, 1)),
+                "objects": float(rng.integers(3, 9)),
+            }
+            rows.append({"version": 1, "clip": f"{clip:016x}", **values})
+    return pa.Table.from_pylist(rows, schema=SPEC.schema)
+
+
+def test_distances_are_those_of_scipy():
+    then, now = lessons(range(20)), lessons(range(20, 50), shift=0.02)
+    drift = compare_lessons(then, now)
+    for name, distance in zip(drift["quantities"], drift["drifts"], strict=True):
+        expected = ks_2samp(then[name].to_numpy(), now[name].to_numpy()).statistic
+        assert distance == pytest.approx(expected, abs=1e-12), name
+    assert all(0 <= low <= high <= 1 for low, high in
+               zip(drift["drift_lows"], drift["drift_highs"], strict=True))  # fmt: skip
+
+
+def test_equal_lessons_have_no_drift():
+    drift = compare_lessons(lessons(range(5)), lessons(range(5)))
+    assert drift["drifts"] == [0] * len(QUANTITIES) and drifted(drift) == []
+
+
+def test_a_few_clips_among_many_are_seen_if_they_differ():
+    """A corpus that grows: all clips of the version, and new ones, which are alike or not."""
+    then = lessons(range(40))
+    alike = pa.concat_tables([then, lessons(range(40, 52))])
+    blurred = pa.concat_tables([then, lessons(range(40, 52), shift=0.25)])
+    assert drifted(compare_lessons(then, alike)) == []
+    assert drifted(compare_lessons(then, blurred)) == ["blur"]
+
+
+def test_lessons_of_few_clips_are_no_evidence_however_many():
+    """By lessons alone, two times two clips with 200 lessons each would differ significantly."""
+    then, now = lessons(range(2), 200), lessons(range(2, 4), 200)
+    assert ks_2samp(then["blur"].to_numpy(), now["blur"].to_numpy()).pvalue < 1e-9
+    assert drifted(compare_lessons(then, now)) == []
+
+
+def test_false_alarms_are_rare():
+    alarms = [
+        bool(drifted(compare_lessons(lessons(range(12), seed=s), lessons(range(12, 24), seed=s))))
+        for s in range(10)
+    ]
+    assert sum(alarms) <= 2  # 5 % expected at most
