@@ -171,7 +171,7 @@ class Scored:
     others: Mapping[str, ArtifactRef]
 
 
-@stage("report", version=15)
+@stage("report", version=16)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from flows.cli import options
-from flows.config import IndexSettings
-from flows.read_config import checked, make_settings, read_toml
+from flows.config import IndexSettings, Settings
+from flows.read_config import checked, make_settings, read_values, refuse_idle
 from slgaussian.errors import InputError
 
 
@@ -23,7 +23,9 @@ def run(
 ) -> None:
     """Run a configuration file, and write its report and fields.
 
-    Options override the file. Paths in the file are relative to the file.
+    Options override the file. Paths in the file are relative to the file. A run leaves such a file
+    beside its report, run.toml, which repeats it: its data are first compared with their digests,
+    and versions and processor with those of the run.
 
     \b
     out = "results"
@@ -38,8 +40,23 @@ def run(
     \b
     slgaussian run kitchen.toml
     slgaussian run kitchen.toml --preset fast --set replicas=1 -o fast
+    slgaussian run results/run.toml -o again
     """
-    run_scenes("run", read_toml(config, options.settings_from(ctx)), verbose)
+    overrides = options.settings_from(ctx)
+    values = read_values(config, overrides)
+    inputs = values.pop("inputs", None)
+    settings = checked(Settings, values, str(config))
+    refuse_idle(overrides, settings, "run")
+    if inputs is not None:
+        prepare_prefect(settings.store)
+        from flows.benchmark import scenes_of
+        from flows.results import check_inputs
+        from slgaussian.storage.run_file import Inputs
+
+        scenes, _ = scenes_of(settings)
+        for line in check_inputs(settings, scenes, Inputs(**inputs), str(config)):
+            typer.echo(line, err=True)
+    run_scenes("run", settings, verbose)
 
 
 @options.configured(
