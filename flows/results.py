@@ -201,11 +201,13 @@ def check_inputs(
 
 
 def _weights(settings: Settings) -> dict[str, str]:
-    """Return the digests of the files of components; those of variants are named after them."""
-    every = {"": settings} | {f"{v.name}: ": v.settings for v in combinations(settings)}
-    return {
-        f"{name}{part.name}.{key}": file.digest or ""
-        for name, each in every.items()
-        for part in each.built_by.components
-        for key, file in part.files.items()
-    }
+    """Return the digests of the files of components, those of variants if they differ."""
+    weights = dict[str, str]()
+    for variant in (None, *combinations(settings)):
+        for part in (variant.settings if variant else settings).built_by.components:
+            for key, file in part.files.items():
+                name, digest = f"{part.name}.{key}", file.digest or ""
+                if variant and weights.get(name, digest) != digest:
+                    name = f"{variant.name}: {name}"
+                weights[name] = digest
+    return weights

@@ -163,8 +163,13 @@ def report_left_out(out: Path, failures: Sequence[Any]) -> None:
 
 
 def prepare_prefect(store: str) -> None:
-    """Set the environment of Prefect for a store, before anything imports Prefect."""
+    """Set the environment of Prefect for a store, before anything imports Prefect.
+
+    InputError if the store, which has Prefect's home, cannot be written.
+    """
     from flows.runners.environment import home_of, prepare
     from slgaussian.storage.store import ArtifactStore
 
-    prepare(home_of(ArtifactStore(store)))
+    opened = ArtifactStore(store)
+    opened.check_writable()
+    prepare(home_of(opened))

@@ -99,7 +99,9 @@ def trace(place: str | Path, answer: str | None = None) -> dict[str, Any]:
             row |= {key: json.loads(row[key]) for key in ("inputs", "settings")}
             needed |= set(row["inputs"].values())
             # A variant that shares an artifact with the field comes first, and gives way to it.
-            artifacts[row["scene"], row["stage"], row["digest"]] = row
+            key = row["scene"], row["stage"], row["digest"]
+            artifacts.pop(key, None)
+            artifacts[key] = row
     files = [file for row in reversed(artifacts.values()) for file in _files(row)]
     text = json.dumps([row["settings"] for row in artifacts.values()])
     for name, digest in run.manifest["weights"].items():

@@ -115,7 +115,7 @@ def commit() -> str:
 
     Of an installation from a repository, pip keeps it. :data:`UNKNOWN` of any other.
     """
-    package = Path(__file__).parents[1]
+    package = Path(__file__).resolve().parents[1]
 
     def git(*words: str) -> str:
         with suppress(OSError):  # not installed
@@ -130,7 +130,7 @@ def commit() -> str:
         return git("rev-parse", "HEAD") + (", changed" if changed else "")
     with suppress(PackageNotFoundError):
         installed = distribution("slgaussian")
-        if Path(str(installed.locate_file(package.name))) == package:
+        if Path(str(installed.locate_file(package.name))).resolve() == package:
             origin = json.loads(installed.read_text("direct_url.json") or "{}")
             return origin.get("vcs_info", {}).get("commit_id", UNKNOWN)
     return UNKNOWN

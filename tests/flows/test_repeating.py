@@ -72,8 +72,8 @@ def test_a_run_repeated_elsewhere_from_its_file_alone_gives_the_same_bytes(first
     file.write_text(file.read_text().replace(f'"{versions["numpy"]}"', '"1.0"'))
     status, _, errors = slg(*AGAIN)
     assert status == 0
-    # Weights; photographs, label file and cameras of the scene, and of a sweep with one more view.
-    assert "12 digests are those of run.toml" in errors
+    # Weights; photographs, their JSON, labels and cameras: the sweep adds a photograph.
+    assert f"{1 + (3 + 3) + (4 + 3)} digests are those of run.toml" in errors
     assert f"may differ, with numpy {versions['numpy']} instead of 1.0" in errors
     before, after = (
         files_below(folder, ("times",)) for folder in (first / "report", moved / "again")
@@ -132,14 +132,12 @@ def test_a_number_leads_back_to_photographs_labels_and_weights(first, slg, refus
     weights = files.pop(("weights", "clip.model"))
     assert (
         weights
-        == tomllib.loads((first / "report/run.toml").read_text())["digests"]["weights"][
-            "clip.model"
-        ]
+        == tomllib.loads((first / "report/run.toml").read_text())["inputs"]["weights"]["clip.model"]
     )
     expected = {("labels", "view_02.json"): sha256(first / "labels/view_02.json")}
     for _, name in files.keys() - expected.keys():
         expected["photographs", name] = sha256(first / "set" / name)
-    assert files == expected and len(files) == 5
+    assert files == expected and len(files) == 4 + 2
     _, text, _ = slg(*words, "desk/red ball")
     assert f"{sha256(first / 'set/view_00.png')}  photographs  view_00.png" in text
     assert "did you mean 'desk/red ball'" in refusal(*words, "desk/red bal")
