@@ -151,7 +151,7 @@ NAMESPACE = "slgaussian"
 
 
 def events(traced: Mapping[str, Any], time: datetime) -> list[RunEvent]:
-    """Return OpenLineage events, one of type COMPLETE for each artifact of :func:`trace`.
+    """Return OpenLineage events, START and COMPLETE of each artifact of :func:`trace`.
 
     Jobs are stages. Datasets are files, SCENE/FILE, and artifacts, SCENE/METHOD/STAGE, with their
     digests as versions. The same run gives the same run ids. ``time`` is that of all events, as
@@ -180,7 +180,7 @@ def events(traced: Mapping[str, Any], time: datetime) -> list[RunEvent]:
         return kind(NAMESPACE, name, facets={"version": version})
 
     parent = parent_run.ParentRunFacet(parent_run.Run(run_id("")), parent_run.Job(NAMESPACE, "run"))
-    completed = []
+    results = []
     for row in reversed(traced["artifacts"]):
         read = {f"{row['scene']}/{file['name']}": file["digest"] for file in _files(row)}
         read |= {names[row["scene"], digest]: digest for digest in row["inputs"].values()}
@@ -193,17 +193,18 @@ def events(traced: Mapping[str, Any], time: datetime) -> list[RunEvent]:
             "executionParameters": execution.ExecutionParametersRunFacet(parameters),
         }
         name = names[row["scene"], row["digest"]]
-        completed.append(
+        results += [
             event_v2.RunEvent(
                 eventTime=time.isoformat(),
-                eventType=event_v2.RunState.COMPLETE,
+                eventType=state,
                 run=event_v2.Run(run_id(name), facets),
                 job=event_v2.Job(NAMESPACE, row["stage"]),
                 inputs=[dataset(event_v2.InputDataset, *each) for each in read.items()],
                 outputs=[dataset(event_v2.OutputDataset, name, row["digest"])],
             )
-        )
-    return completed
+            for state in (event_v2.RunState.START, event_v2.RunState.COMPLETE)
+        ]
+    return results
 
 
 def send(traced: Mapping[str, Any], place: str | Path, target: str) -> int:

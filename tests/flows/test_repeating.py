@@ -148,7 +148,7 @@ def test_openlineage_events_of_a_run_are_complete(first, slg, tmp_path):
     status, _, _ = slg("inspect", first / "report", "--openlineage", tmp_path / "events.ndjson")
     assert status == 0
     lines = (tmp_path / "events.ndjson").read_text().splitlines()
-    known, jobs = set(), set()
+    known, jobs, started = set(), set(), set()
     for event in map(json.loads, lines):
         run_of, job = client.Run(**event.pop("run")), client.Job(**event.pop("job"))
         state = client.RunState(event.pop("eventType"))
@@ -159,7 +159,9 @@ def test_openlineage_events_of_a_run_are_complete(first, slg, tmp_path):
             inputs=[client.InputDataset(**one) for one in event.pop("inputs")],
             outputs=[client.OutputDataset(**one) for one in event.pop("outputs")],
         )  # fmt: skip
-        assert event == {} and state == client.RunState.COMPLETE
+        assert event == {}
+        assert (state == client.RunState.COMPLETE) == (run_of.runId in started)
+        started.add(run_of.runId)
         jobs.add(parsed.job.name)
         for one in parsed.inputs:
             assert one.name in known or one.name.endswith((".png", ".json"))
