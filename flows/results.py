@@ -191,7 +191,7 @@ def check_inputs(
     every = [*(scene_task(settings, scene) for scene in scenes), *variants]
     tasks = {task.scene: task.arguments for task in every}
     present = {scene.name: run_file.SceneInputs() for scene in scenes}
-    for name in recorded.scenes.keys() & tasks.keys():
+    for name in (name for name in recorded.scenes if name in tasks):
         photographs, labels, *_ = tasks[name]
         folder = labels.folder or Path()
         files = digests_of((folder / file for file in recorded.scenes[name].labels), folder)

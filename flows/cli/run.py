@@ -23,9 +23,8 @@ def run(
 ) -> None:
     """Run a configuration file, and write its report and fields.
 
-    Options override the file. Paths in the file are relative to the file. A run leaves such a file
-    beside its report, run.toml, which repeats it: its data are first compared with their digests,
-    and versions and processor with those of the run.
+    Options override the file. Paths in the file are relative to the file. A run leaves run.toml
+    beside its report, which repeats it after a comparison of data, versions and processor.
 
     \b
     out = "results"
@@ -163,13 +162,10 @@ def report_left_out(out: Path, failures: Sequence[Any]) -> None:
 
 
 def prepare_prefect(store: str) -> None:
-    """Set the environment of Prefect for a store, before anything imports Prefect.
-
-    InputError if the store, which has Prefect's home, cannot be written.
-    """
+    """Set the environment of Prefect for a store, before anything imports Prefect."""
     from flows.runners.environment import home_of, prepare
     from slgaussian.storage.store import ArtifactStore
 
     opened = ArtifactStore(store)
-    opened.check_writable()
+    opened.check_writable()  # it has the home of Prefect
     prepare(home_of(opened))
