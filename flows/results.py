@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from flows.config import TABLES, Engine, Method, SceneSettings, Settings, table_of
+from flows.config import TABLES, Method, SceneSettings, Settings, table_of
 from flows.scene import scene_task
 from flows.sweep import combinations, sweep_tasks
 from slgaussian import __version__
@@ -32,8 +32,9 @@ from tasks.stage import Stage
 FIELDS = "fields"
 """Folder of the fields, and their table."""
 
-WITHOUT_EFFECT = {*Engine.model_fields, "out", "data", "format", "pairs", "labels", "rooms"}
-"""Settings that results do not depend on, once the scenes are listed."""
+OMITTED = {"store", "runner", "workers", "refresh", "out",
+           "data", "format", "pairs", "labels", "rooms"}  # fmt: skip
+"""Settings without effect on results, and those of scenes, which ``run.toml`` lists."""
 
 
 def field_place(scene: str, out: Path) -> Path:
@@ -172,7 +173,7 @@ def run_toml(
     """
     variants = (variant.settings for variant in combinations(settings))
     used = {table_of(name) for each in (settings, *variants) for name in each.component_values()}
-    omitted = WITHOUT_EFFECT | (TABLES.keys() - used)
+    omitted = OMITTED | (TABLES.keys() - used)
     values = settings.model_dump(mode="json", exclude_none=True, exclude=omitted)
     values["scenes"] = [scene.model_dump(mode="json", exclude_none=True) for scene in scenes]
     places = {table: TABLES[table].files() for table in used}

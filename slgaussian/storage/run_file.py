@@ -127,11 +127,14 @@ def encode(
         values: Settings as plain data without None; places are replaced.
         places: Names of the fields that are files, for each table of a component.
     """
-    tables = [(values[table], fields) for table, fields in places.items()]
-    for table, fields in [*tables, *((scene, ("path", "labels")) for scene in values["scenes"])]:
-        for field in table.keys() & set(fields):
-            if os.path.exists(table[field]):  # else a name on the hub, or it was missing anyway
-                table[field] = _portable(table[field], folder.resolve())
+    folder = folder.resolve()
+    for scene in values["scenes"]:
+        for field in scene.keys() & {"path", "labels"}:
+            scene[field] = _portable(scene[field], folder)
+    for table, fields in places.items():
+        for field in values[table].keys() & set(fields):
+            if os.path.exists(values[table][field]):  # else a name on the hub
+                values[table][field] = _portable(values[table][field], folder)
     content = {**values, TABLE: inputs.model_dump(exclude_defaults=True)}
     return (_HEAD + tomli_w.dumps(content)).encode()
 
