@@ -41,19 +41,20 @@ def run(
     slgaussian run kitchen.toml --preset fast --set replicas=1 -o fast
     slgaussian run results/run.toml -o again
     """
+    from slgaussian.storage.run_file import Recorded
+
     overrides = options.settings_from(ctx)
     values = read_values(config, overrides)
-    inputs = values.pop("inputs", None)
+    record = checked(Recorded, {"inputs": values.pop("inputs", None)}, str(config))
     settings = checked(Settings, values, str(config))
     refuse_idle(overrides, settings, "run")
-    if inputs is not None:
+    if record.inputs is not None:
         prepare_prefect(settings.store)
         from flows.benchmark import scenes_of
         from flows.results import check_inputs
-        from slgaussian.storage.run_file import Inputs
 
         scenes, _ = scenes_of(settings)
-        for line in check_inputs(settings, scenes, Inputs(**inputs), str(config)):
+        for line in check_inputs(settings, scenes, record.inputs, str(config)):
             typer.echo(line, err=True)
     run_scenes("run", settings, verbose)
 

@@ -17,9 +17,6 @@ from slgaussian.kernels import threads
 from slgaussian.storage import provenance
 from slgaussian.storage.store import ArtifactRef
 
-TABLE = "inputs"
-"""Table of the file that has no settings, but what the run was computed from."""
-
 _HEAD = """\
 # The run whose report lies beside this file. To repeat it, in this folder:
 #   slgaussian run run.toml -o again
@@ -95,7 +92,7 @@ class Inputs(Config):
                 raise InputError(
                     f"{what}: {names[0]}{rest} is not that of the run: found digest {digest}, "
                     f"expected {expected}; bring the file of the run or, to use other data, delete "
-                    f"the tables [{TABLE}] from {source}"
+                    f"the tables [inputs] from {source}"
                 )
             count += len(recorded)
         rest = f"; nothing to compare of {', '.join(unknown)}" if unknown else ""
@@ -104,6 +101,12 @@ class Inputs(Config):
             here, there = (of.get(name, "none") for of in (present.software, self.software))
             lines.append(f"warning: results may differ, with {name} {here} instead of {there}")
         return lines
+
+
+class Recorded(Config):
+    """The tables of the file that are no settings."""
+
+    inputs: Inputs | None = None
 
 
 def _differing(first: Mapping[str, str], second: Mapping[str, str]) -> list[str]:
@@ -135,7 +138,7 @@ def encode(
         for field in values[table].keys() & set(fields):
             if os.path.exists(values[table][field]):  # else a name on the hub
                 values[table][field] = _portable(values[table][field], folder)
-    content = {**values, TABLE: inputs.model_dump(exclude_defaults=True)}
+    content = {**values, "inputs": inputs.model_dump(exclude_defaults=True)}
     return (_HEAD + tomli_w.dumps(content)).encode()
 
 

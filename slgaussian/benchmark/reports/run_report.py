@@ -118,9 +118,9 @@ def _repeat_section(manifest: Mapping[str, Any]) -> model.Section:
     files = model.count_text(len(digests), "file") if digests else "no file, as none was read"
     text = "`slgaussian run run.toml -o again`, in the folder of this report, repeats the run. "
     text += "The file `run.toml` has all settings and scenes, and under `[inputs]` the SHA-256 of "
-    text += f"{files}; a file that differs is refused by name. Of other versions than slgaussian "
-    text += f"{manifest.get('slgaussian', '')}, commit {manifest.get('commit', '')}, and of other "
-    text += "processors, whose last digits differ, it warns. Seconds and memory are of one run."
+    text += f"{files}; a file that differs is refused by name. Other versions than slgaussian "
+    text += f"{manifest.get('slgaussian', '')}, commit {manifest.get('commit', '')}, and other "
+    text += "processors, whose last digits differ, give a warning. Seconds and memory will differ."
     return model.Section("Repeat this", [model.Prose(text)], "repeat")
 
 
