@@ -177,7 +177,7 @@ def run_toml(
     values = settings.model_dump(mode="json", exclude_none=True, exclude=omitted)
     values["scenes"] = [scene.model_dump(mode="json", exclude_none=True) for scene in scenes]
     places = {table: TABLES[table].files() for table in used}
-    inputs = run_file.Inputs.of(refs, _weights(settings))
+    inputs = run_file.Inputs.from_refs(refs, _weights(settings))
     return run_file.encode(values, places, inputs, settings.out)
 
 
@@ -196,7 +196,7 @@ def check_inputs(
         photographs, labels, *_ = tasks[name]
         folder = labels.folder or Path()
         files = digests_of((folder / file for file in recorded.scenes[name].labels), folder)
-        present[name] = run_file.SceneInputs.of(photographs.inputs, files)
+        present[name] = run_file.SceneInputs.from_settings(photographs.inputs, files)
     now = run_file.Inputs(software=run_file.software(), weights=_weights(settings), scenes=present)
     return recorded.check(now, source)
 

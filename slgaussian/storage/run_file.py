@@ -34,7 +34,7 @@ class SceneInputs(Config):
     labels: dict[str, str] = Field({})
 
     @staticmethod
-    def of(photographs: Mapping[str, Any], labels: Mapping[str, str]) -> SceneInputs:
+    def from_settings(photographs: Mapping[str, Any], labels: Mapping[str, str]) -> SceneInputs:
         """Return the digests; ``photographs`` has those of ``files`` and ``cameras``."""
         # Sorted, as records in the store do not preserve the order.
         files, labels = (dict(sorted(each.items())) for each in (photographs["files"], labels))
@@ -59,7 +59,7 @@ class Inputs(Config):
     scenes: dict[str, SceneInputs] = Field({})
 
     @staticmethod
-    def of(
+    def from_refs(
         refs: Mapping[tuple[str, str], Mapping[str, ArtifactRef]], weights: dict[str, str]
     ) -> Inputs:
         """Return the inputs of results of stages by scene and method, the main method first."""
@@ -68,7 +68,7 @@ class Inputs(Config):
             if "ingest" in by_stage:  # baselines read nothing
                 settings = {name: ref.meta["settings"] for name, ref in by_stage.items()}
                 labels = settings["truth"]["labels"]["files"] if "truth" in settings else {}
-                read = SceneInputs.of(settings["ingest"]["photographs"], labels)
+                read = SceneInputs.from_settings(settings["ingest"]["photographs"], labels)
                 if read != scenes.get(scene):
                     scenes[f"{scene}: {method}" if scene in scenes else scene] = read
         return Inputs(software=software(), weights=weights, scenes=scenes)
