@@ -17,7 +17,7 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import SceneSettings, Settings, check_names
-from flows.results import check_places, field_place, manifest, write_fields
+from flows.results import check_places, field_place, manifest, run_toml, write_fields
 from flows.runners.batches import (
     Failure,
     Outcome,
@@ -47,6 +47,7 @@ from flows.scenes import DATASET, PATH_SUBDIVISIONS, labelled_scenes, room_scene
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
+from slgaussian.benchmark.lineage import lineage_table
 from slgaussian.benchmark.outputs import Masks, write_costs, write_masks, write_samples, write_table
 from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.errors import InputError
@@ -71,7 +72,7 @@ SWEPT_STAGES = len(STAGES) - 1
 PAGE, REPORT, SCORES = "slgaussian-page", "slgaussian-report", "slgaussian-scores"
 """Keys of the Prefect artifacts of a run."""
 
-RUN_FILES = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
+RUN_FILES = ("manifest.json", "pairs.json", "report.html", "report.md", "run.toml", "times.json")
 """Files of a run besides its tables and masks; those of an earlier run are removed."""
 
 
@@ -160,7 +161,8 @@ class _Computed:
     ``scored`` are the completed scenes. ``answers`` are the results of all their methods, ours
     first, with the name of the scene and the seconds to build the field. ``fields`` are the fields
     by scene, including scenes that failed later. ``stages`` has the costs of each stage when its
-    artifacts were computed, possibly in an earlier run.
+    artifacts were computed, possibly in an earlier run. ``refs`` are the results of all stages, by
+    scene and method.
     """
 
     scored: list[Scored]
@@ -168,6 +170,8 @@ class _Computed:
     fields: dict[str, ArtifactRef]
     stages: dict[str, StageCost]
     manifest: dict[str, Any]
+    scenes: Sequence[SceneSettings]
+    refs: dict[tuple[str, str], dict[str, ArtifactRef]]
     failures: list[Failure]
     report: ArtifactRef | None = None
 
@@ -191,6 +195,8 @@ def _compute(
     rows = chosen_baselines(config.against)
     methods = rows | {variant.name: variant.row for variant in variants}
     further_refs = answered.refs | swept.refs
+    started = ours.partial | ours.refs
+    every = {(s.name, config.method): started[s.name] for s in scenes if s.name in started}
     scored, answers = [], []
     for name in (scene.name for scene in complete):
         refs, other_refs = ours.refs[name], {}
@@ -198,6 +204,7 @@ def _compute(
         for method in methods:
             # Baselines answer from our field.
             if method_refs := further_refs.get(method_task_name(name, method)):
+                every[name, method] = method_refs
                 other_refs[method] = method_refs[baselines.name if method in rows else "benchmark"]
                 seconds = _seconds_to_build(refs if method in rows else method_refs)
                 answers.append((name, other_refs[method], seconds))
@@ -209,11 +216,10 @@ def _compute(
     if rows:
         costs[baselines.name] = _cost(baselines, answered)
         stages.append(baselines)
-    started = ours.partial | ours.refs
     fields = {s.name: refs["field"] for s in scenes if "field" in (refs := started.get(s.name, {}))}
     failures = [*ours.failures, *answered.failures, *swept.failures, *refused]
     described = manifest(config, complete, stages, ours.refs, methods)
-    computed = _Computed(scored, answers, fields, costs, described, failures)
+    computed = _Computed(scored, answers, fields, costs, described, scenes, every, failures)
     if scored:
         arguments = scored, described, [asdict(failure) for failure in failures]
         last = SceneTask("all scenes", report, arguments, first="report")
@@ -267,7 +273,9 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
     lost = [store.get(scored.attribution) for scored in computed.scored]
     empty = load_spec("attribution").schema.empty_table()
     write_table("attribution", pa.concat_tables([empty, *lost]), out)
-    files = {"manifest.json": _json(computed.manifest)}
+    write_table("lineage", lineage_table(computed.refs, computed.manifest["stages"]), out)
+    repeat = run_toml(settings, computed.scenes, computed.refs)
+    files = {"manifest.json": _json(computed.manifest), "run.toml": repeat}
     if settings.pairs is not None:
         files["pairs.json"] = settings.pairs.read_bytes()
     if computed.report is not None:

@@ -1,4 +1,4 @@
-"""Outputs of a run besides scores: its fields and its manifest."""
+"""Outputs of a run besides scores: its fields, its manifest, and the file that repeats it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from flows.config import TABLES, Method, SceneSettings, Settings
+from flows.config import TABLES, Method, SceneSettings, Settings, table_of
+from flows.scene import scene_task
+from flows.sweep import combinations, sweep_tasks
 from slgaussian import __version__
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.baselines import Row
@@ -17,18 +19,22 @@ from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.datasets.labelled_sets import is_published
 from slgaussian.errors import InputError, SpecError
-from slgaussian.io import file_sha256
 from slgaussian.kernels import threads
-from slgaussian.storage import field_folder
+from slgaussian.storage import field_folder, run_file
 from slgaussian.storage.encoding import decode_table
-from slgaussian.storage.provenance import software
+from slgaussian.storage.provenance import commit, software
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import CONCURRENT_READS, ArtifactRef, ArtifactStore
 from tasks.artifacts import about_field
+from tasks.scene import digests_of
 from tasks.stage import Stage
 
 FIELDS = "fields"
 """Folder of the fields, and their table."""
+
+OMITTED = {"store", "runner", "workers", "refresh", "out",
+           "data", "format", "pairs", "labels", "rooms"}  # fmt: skip
+"""Settings without effect on results, and those of scenes, which ``run.toml`` lists."""
 
 
 def field_place(scene: str, out: Path) -> Path:
@@ -105,23 +111,15 @@ def manifest(
     other methods.
     """
     names = (Method.model_fields.keys() | {"method"}) - TABLES.keys()
-    weights = {
-        f"{part.name}.{key}": file.digest
-        for part in settings.built_by.components
-        for key, file in part.files.items()
-    }
-    index = {}
-    if settings.pairs is not None:
-        index = {"file": settings.pairs.name, "sha256": file_sha256(settings.pairs)}
     return {
         "spec": load_spec("manifest").label,
         "slgaussian": __version__,
+        "commit": commit(),
         "seed": settings.seed,
         "settings": settings.model_dump(mode="json", include=names) | settings.identity,
         "methods": {name: _described(row) for name, row in baselines.items()},
         "protocols": [protocol.label for protocol in PROTOCOLS.values()],
-        "weights": weights,
-        "index": index,
+        "weights": _weights(settings),
         "stages": {stage.name: stage.version for stage in stages},
         "packages": software(),
         "kernels": threads.kernels(),
@@ -162,3 +160,55 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
         "files": files,
         "labels": labels,
     }
+
+
+def run_toml(
+    settings: Settings,
+    scenes: Sequence[SceneSettings],
+    refs: Mapping[tuple[str, str], Mapping[str, ArtifactRef]],
+) -> bytes:
+    """Return a configuration that repeats a run, with all its inputs.
+
+    ``refs`` are the results of stages by scene and method, those of our method first.
+    """
+    variants = (variant.settings for variant in combinations(settings))
+    used = {table_of(name) for each in (settings, *variants) for name in each.component_values()}
+    omitted = OMITTED | (TABLES.keys() - used)
+    values = settings.model_dump(mode="json", exclude_none=True, exclude=omitted)
+    values["scenes"] = [scene.model_dump(mode="json", exclude_none=True) for scene in scenes]
+    places = {table: TABLES[table].files() for table in used}
+    inputs = run_file.Inputs.from_refs(refs, _weights(settings))
+    return run_file.encode(values, places, inputs, settings.out)
+
+
+def check_inputs(
+    settings: Settings, scenes: Sequence[SceneSettings], recorded: run_file.Inputs, source: str
+) -> list[str]:
+    """Compare all inputs with those of file ``source``; describe the result in lines.
+
+    InputError if a file differs, with its name, or cannot be read.
+    """
+    variants, _ = sweep_tasks(combinations(settings), scenes)
+    every = [*(scene_task(settings, scene) for scene in scenes), *variants]
+    tasks = {task.scene: task.arguments for task in every}
+    present = {scene.name: run_file.SceneInputs() for scene in scenes}
+    for name in (name for name in recorded.scenes if name in tasks):
+        photographs, labels, *_ = tasks[name]
+        folder = labels.folder or Path()
+        files = digests_of((folder / file for file in recorded.scenes[name].labels), folder)
+        present[name] = run_file.SceneInputs.from_settings(photographs.inputs, files)
+    now = run_file.Inputs(software=run_file.software(), weights=_weights(settings), scenes=present)
+    return recorded.check(now, source)
+
+
+def _weights(settings: Settings) -> dict[str, str]:
+    """Return the digests of the files of components, those of variants if they differ."""
+    weights = dict[str, str]()
+    for variant in (None, *combinations(settings)):
+        for part in (variant.settings if variant else settings).built_by.components:
+            for key, file in part.files.items():
+                name, digest = f"{part.name}.{key}", file.digest or ""
+                if variant and weights.get(name, digest) != digest:
+                    name = f"{variant.name}: {name}"
+                weights[name] = digest
+    return weights

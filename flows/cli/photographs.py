@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from flows.config import SceneSettings, Settings
 from flows.scenes import folder_of
 from slgaussian.checks import natural_key, order_naturally
-from slgaussian.datasets import unposed
+from slgaussian.datasets import colmap, unposed
 from slgaussian.datasets.photographs import find_file, skip_unreadable
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, choose_keyframes, glance, small
@@ -154,7 +155,10 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
             raise InputError(f"{cameras}: found {format}, expected cameras of {', '.join(POSED)}")
         scene, folder = posed_scene(cameras, photos)
         names = [name for name, _ in find_views(scene, photos, folder)]
-        options = {} if format == "nerfstudio" else {"images": str(folder.resolve())}
+        options = {}
+        if format != "nerfstudio":  # relative, so that the scene can be moved
+            scene_folder = colmap.scene_folder(place) if format == "colmap" else folder_of(place)
+            options["images"] = os.path.relpath(folder.resolve(), scene_folder.resolve())
     if len(names) < 3:
         raise InputError(
             f"benchmark: found {len(names)} photographs, expected at least three: the middle one "

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from flows.cli import options
-from flows.config import IndexSettings
-from flows.read_config import checked, make_settings, read_toml
+from flows.config import IndexSettings, Settings
+from flows.read_config import checked, make_settings, read_values, refuse_idle
 from slgaussian.errors import InputError
 
 
@@ -23,7 +23,8 @@ def run(
 ) -> None:
     """Run a configuration file, and write its report and fields.
 
-    Options override the file. Paths in the file are relative to the file.
+    Options override the file. Paths in the file are relative to the file. A run leaves run.toml
+    beside its report, which repeats it after a comparison of data, versions and processor.
 
     \b
     out = "results"
@@ -38,8 +39,24 @@ def run(
     \b
     slgaussian run kitchen.toml
     slgaussian run kitchen.toml --preset fast --set replicas=1 -o fast
+    slgaussian run results/run.toml -o again
     """
-    run_scenes("run", read_toml(config, options.settings_from(ctx)), verbose)
+    from slgaussian.storage.run_file import Recorded
+
+    overrides = options.settings_from(ctx)
+    values = read_values(config, overrides)
+    record = checked(Recorded, {"inputs": values.pop("inputs", None)}, str(config))
+    settings = checked(Settings, values, str(config))
+    refuse_idle(overrides, settings, "run")
+    if record.inputs is not None:
+        prepare_prefect(settings.store)
+        from flows.benchmark import scenes_of
+        from flows.results import check_inputs
+
+        scenes, _ = scenes_of(settings)
+        for line in check_inputs(settings, scenes, record.inputs, str(config)):
+            typer.echo(line, err=True)
+    run_scenes("run", settings, verbose)
 
 
 @options.configured(
@@ -150,4 +167,6 @@ def prepare_prefect(store: str) -> None:
     from flows.runners.environment import home_of, prepare
     from slgaussian.storage.store import ArtifactStore
 
-    prepare(home_of(ArtifactStore(store)))
+    opened = ArtifactStore(store)
+    opened.check_writable()  # it has the home of Prefect
+    prepare(home_of(opened))

@@ -26,6 +26,14 @@ store_app = typer.Typer(
 
 def inspect(
     path: Annotated[str, typer.Argument(help="File, folder, or store by its URL.")],
+    answer: Annotated[
+        str | None,
+        typer.Option("--of", metavar="SCENE/QUERY", help="Trace answers in the results of a run."),
+    ] = None,
+    openlineage: Annotated[
+        str | None,
+        typer.Option(metavar="FILE|URL", help="Write or send the lineage of a run, as events."),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Show the spec, fields and provenance of a file, and check it.
@@ -35,11 +43,27 @@ def inspect(
     named; with --json all are. The exit status is 1 if a file is damaged, or a table or arrays
     break their spec.
 
+    --of follows the numbers of a report back to stages, settings, and the photographs, labels and
+    weights; --openlineage does so for the whole run, or for --of, as OpenLineage events.
+
     \b
     slgaussian inspect results/samples.parquet
     slgaussian inspect results/fields/kitchen --json
     slgaussian inspect s3://bucket/slg
+    slgaussian inspect results/report.html --of "kitchen/red kettle"
+    slgaussian inspect results --openlineage events.ndjson
     """
+    if answer is not None or openlineage is not None:
+        from slgaussian.benchmark import lineage
+
+        traced = lineage.trace(path, answer)
+        if openlineage is not None:
+            typer.echo(f"{lineage.send(traced, path, openlineage)} events  {openlineage}", err=True)
+        elif as_json:
+            typer.echo(json.dumps(traced, indent=1, ensure_ascii=False))
+        else:
+            typer.echo("\n".join(lineage.lines(traced)))
+        return
     from slgaussian.storage import inspection
 
     files = inspection.inspect(path)

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import json
 import platform
+import subprocess
 from collections.abc import Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from slgaussian import __version__
@@ -101,3 +103,34 @@ def software() -> dict[str, str]:
         with suppress(PackageNotFoundError):
             versions[name] = version(name)
     return versions
+
+
+UNKNOWN = "unknown"
+"""Commit of a program that is neither a clone nor installed from a repository."""
+
+
+@cache
+def commit() -> str:
+    """Return the git commit of this program, with ``", changed"`` if its files differ from it.
+
+    Of an installation from a repository, pip keeps it. :data:`UNKNOWN` of any other.
+    """
+    package = Path(__file__).resolve().parents[1]
+
+    def git(*words: str) -> str:
+        with suppress(OSError):  # not installed
+            command = ["git", "-C", str(package), *words]
+            return subprocess.run(command, capture_output=True, text=True).stdout.strip()
+        return ""
+
+    # A virtual environment in a folder of another repository is not tracked by it.
+    if git("ls-files", "__init__.py"):
+        folders = (f"../{name}" for name in ("slgaussian", "tasks", "flows", "data_specs"))
+        changed = git("status", "--porcelain", "--", *folders)
+        return git("rev-parse", "HEAD") + (", changed" if changed else "")
+    with suppress(PackageNotFoundError):
+        installed = distribution("slgaussian")
+        if Path(str(installed.locate_file(package.name))).resolve() == package:
+            origin = json.loads(installed.read_text("direct_url.json") or "{}")
+            return origin.get("vcs_info", {}).get("commit_id", UNKNOWN)
+    return UNKNOWN

@@ -2,8 +2,13 @@
 
 import io
 import json
+import os
+import shutil
+import subprocess
+import sys
 import uuid
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -145,3 +150,43 @@ def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
     with record_provenance(MADE):
         assert encode_table(named, spec) == encode_table(table, spec)
         assert json.dumps(provenance_metadata()) == json.dumps(provenance_metadata())
+
+
+def committed(folder: Path) -> str:
+    """Return the commit that a program in a folder states."""
+    code = "from slgaussian.storage.provenance import commit; print(commit())"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        cwd=folder, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout.strip()
+
+
+def test_commit_is_that_of_a_clone_or_of_its_installation_else_unknown(tmp_path):
+    def git(*words: str) -> str:
+        identity = ("-c", "user.name=a", "-c", "user.email=a@b")
+        command = ["git", "-C", tmp_path, *identity, *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    package = Path(__file__).parents[2] / "slgaussian"
+    skip = shutil.ignore_patterns("__pycache__", "*.xz", "*.toml")
+    shutil.copytree(package, tmp_path / "slgaussian", ignore=skip)
+    assert committed(tmp_path) == "unknown"
+    (tmp_path / ".gitignore").write_text(".venv\n__pycache__\n")
+    for words in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "first"]):
+        git(*words)
+    head = git("rev-parse", "HEAD")
+    assert committed(tmp_path) == head
+    (tmp_path / "slgaussian" / "added.py").write_text("")
+    assert committed(tmp_path) == f"{head}, changed"
+
+    installed = tmp_path / ".venv"  # in the repository, but not of it
+    shutil.copytree(tmp_path / "slgaussian", installed / "slgaussian", ignore=skip)
+    (installed / "slgaussian-0.1.0.dist-info").mkdir()
+    metadata = "Metadata-Version: 2.1\nName: slgaussian\nVersion: 0.1.0\n"
+    (installed / "slgaussian-0.1.0.dist-info/METADATA").write_text(metadata)
+    assert committed(installed) == "unknown"
+    origin = {"url": "https://host/a.git", "vcs_info": {"vcs": "git", "commit_id": "c" * 40}}
+    (installed / "slgaussian-0.1.0.dist-info/direct_url.json").write_text(json.dumps(origin))
+    assert committed(installed) == "c" * 40

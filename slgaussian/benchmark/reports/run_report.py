@@ -106,7 +106,22 @@ def run_report(
             model.Fold("Data of each scene, with digests", [model.values_table(data)])
         )
     sections.append(model.Section("Configuration", configuration, "configuration"))
+    sections.append(_repeat_section(manifest))
     return model.Report("SLGaussian report", summary, sections)
+
+
+def _repeat_section(manifest: Mapping[str, Any]) -> model.Section:
+    """Give the command that repeats the run, and describe what it compares first."""
+    digests = set(manifest.get("weights", {}).values())
+    for data in manifest.get("data", {}).values():
+        digests |= {*data.get("files", {}).values(), *data.get("labels", {}).values()}
+    files = model.count_text(len(digests), "file") if digests else "no file, as none was read"
+    text = "`slgaussian run run.toml -o again`, in the folder of this report, repeats the run. "
+    text += "The file `run.toml` has all settings and scenes, and under `[inputs]` the SHA-256 of "
+    text += f"{files}; a file that differs is refused by name. Other versions than slgaussian "
+    text += f"{manifest.get('slgaussian', '')}, commit {manifest.get('commit', '')}, and other "
+    text += "processors, whose last digits differ, give a warning. Seconds and memory will differ."
+    return model.Section("Repeat this", [model.Prose(text)], "repeat")
 
 
 def with_times(
