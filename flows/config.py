@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import re
+import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    PositiveInt,
-    StringConstraints,
-    create_model,
-    model_validator,
-)
+from pydantic import Field, GetJsonSchemaHandler, create_model, model_validator
+from pydantic_core import CoreSchema
 
+from flows.forms import RUNNERS, Phrase, Runner, Sides, Size, Widths, arrange
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, Config
 from slgaussian.components.method import BuildConfig
 from slgaussian.components.method import Method as BuildMethod
-from slgaussian.components.registry import KINDS, find_config, plugins
+from slgaussian.components.registry import KINDS, find_config, names_of, plugins
 from slgaussian.datasets import FROM_FILES
 from slgaussian.datasets.configs import Bounds, Rule
 from slgaussian.errors import InputError, did_you_mean
@@ -34,71 +29,68 @@ from slgaussian.language.rules import Rules
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig, TrainingConfig
+from slgaussian.storage.remote import check_url
 
 PRESETS = ("fast", "balanced", "paper")
 """Named settings, each a file in `presets`. The last has the settings of the paper, see
 `docs/reference/paper.md`."""
 
-ALLOWED_SIDES = range(16, 8193)
-"""Allowed heights and widths of views, in pixels."""
+URLS = ("store", "sources")
+"""Settings that may be URLs, one or several."""
 
 
-def _parse_sides(value: Any) -> tuple[int, int]:
-    """Parse height and width from ``"256x256"``, as on the command line, or from a pair."""
-    try:
-        height, width = map(int, value.split("x") if isinstance(value, str) else value)
-    except (TypeError, ValueError):
-        height = width = 0
-    if height not in ALLOWED_SIDES or width not in ALLOWED_SIDES:
-        raise ValueError(
-            f"expected height and width as in 256x256, each from {ALLOWED_SIDES[0]} to "
-            f"{ALLOWED_SIDES[-1]}"
+def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    """Return ``under`` updated by ``over``; tables are merged key by key."""
+    tables = {
+        name: {**under[name], **value}
+        for name, value in over.items()
+        if isinstance(value, dict) and isinstance(under.get(name), dict)
+    }
+    return {**under, **over, **tables}
+
+
+def preset_values(preset: Any, source: str = "", of: str = "") -> dict[str, Any]:
+    """Return the settings of a preset; ``of`` is the prefix of its file name.
+
+    Raises:
+        InputError: If there is no such preset.
+    """
+    folder = Path(__file__).parent / "presets"
+    available = [name for name in PRESETS if (folder / f"{of}{name}.toml").is_file()]
+    if preset not in available:
+        raise InputError(
+            f"{source}: preset: found {preset!r}, expected one of {', '.join(available)}"
+            f"{did_you_mean(preset, available)}".removeprefix(": ")
         )
-    return height, width
+    return tomllib.loads((folder / f"{of}{preset}.toml").read_text("utf-8"))
 
 
-AT_MOST_PREFIX = "at most "
+class Form(Config):
+    """Base class of the configurations of flows, given by files, commands or Prefect's page."""
 
+    preset_prefix: ClassVar[str] = ""
 
-def _parse_size(value: Any) -> tuple[int, int] | str:
-    """Parse height and width, or one of the texts for sizes."""
-    if value in ("auto", "original"):
-        return value
-    bound = isinstance(value, str) and value.startswith(AT_MOST_PREFIX)
-    try:
-        sides = _parse_sides(value.removeprefix(AT_MOST_PREFIX) if bound else value)
-    except ValueError as error:
-        raise ValueError(f"{error}, 'at most 416x576', 'auto' or 'original'") from None
-    return "{}{}x{}".format(AT_MOST_PREFIX, *sides) if bound else sides
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, values: Any) -> Any:
+        """Add the settings of the preset; refuse URLs with credentials."""
+        if isinstance(values, cls):
+            return values
+        for name in URLS:
+            urls = values.get(name) or ()
+            for url in [urls] if isinstance(urls, str) else urls:
+                check_url(str(url), name)
+        if "preset" in cls.model_fields and values.get("preset") is not None:
+            values = layered(preset_values(values["preset"], of=cls.preset_prefix), values)
+        return values
 
-
-Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]
-Size = Annotated[tuple[int, int] | str, BeforeValidator(_parse_size)]
-Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
-
-
-RUNNERS = ("threads", "processes")
-"""Runners on this machine."""
-
-PORTS = {"dask": 8786, "ray": 10001}
-"""Usual port of a running cluster."""
-
-
-def _parse_runner(value: Any) -> str:
-    text = str(value)
-    if text in RUNNERS or re.fullmatch(r"(dask|ray)://.+:\d+", text):
-        return text
-    kind = text.partition("://")[0]
-    advice = did_you_mean(kind, (*RUNNERS, "dask", "ray"))
-    if kind in PORTS:
-        advice = f"; give the address of the running cluster, as {kind}://host:{PORTS[kind]}"
-    raise ValueError(
-        "expected threads, processes, or for a cluster that runs dask://host:port or "
-        f"ray://host:port{advice}"
-    )
-
-
-Runner = Annotated[str, BeforeValidator(_parse_runner)]
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        schema = handler(core_schema)
+        arrange(handler.resolve_ref_schema(schema), GROUPS, handler.resolve_ref_schema)
+        return schema
 
 
 def table_of(component: str) -> str:
@@ -111,7 +103,11 @@ RULES = set(Rules.model_fields)
 
 
 def _kind(kind: str) -> Any:
-    return Field(KINDS[kind].default, description=KINDS[kind].help)
+    return Field(
+        KINDS[kind].default,
+        description=KINDS[kind].help,
+        json_schema_extra=lambda schema: schema.update(enum=list(names_of(kind))),
+    )
 
 
 class MethodSettings(Rules, BuildConfig):
@@ -148,6 +144,12 @@ class MethodSettings(Rules, BuildConfig):
     clip: ClipConfig = ClipConfig()
     grid: GridConfig = GridConfig()
     branch: BranchConfig = BranchConfig()
+
+    @model_validator(mode="after")
+    def _check_components(self) -> Self:
+        for kind, name in self.component_names().items():
+            find_config(kind, name)  # InputError for an unknown name
+        return self
 
     def component_names(self) -> dict[str, str]:
         """Return the name of the component of each kind."""
@@ -230,7 +232,7 @@ def check_names(scenes: Sequence[SceneSettings]) -> None:
             raise InputError(f"two scenes are called {name!r}; names must be unique")
 
 
-class Engine(Config):
+class Engine(Form):
     """Runner, workers and store of a flow."""
 
     store: str = Field(
@@ -258,7 +260,7 @@ class Engine(Config):
 class Settings(Engine, Method):
     """Configuration of a run."""
 
-    preset: str | None = Field(
+    preset: Literal["fast", "balanced", "paper"] | None = Field(
         None,
         examples=list(PRESETS),
         description=f"Named settings: {', '.join(PRESETS)}; other options override them.",
@@ -349,14 +351,6 @@ class DatasetSettings(CorpusSettings):
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is full.")
 
 
-Widths = Annotated[
-    tuple[PositiveInt, ...],
-    BeforeValidator(lambda value: value.split(",") if isinstance(value, str) else value),
-    Field(min_length=1),
-]
-"""Numbers of channels: a list, or text as in 8,16,24,32."""
-
-
 class Training(TrainingConfig):
     """Hyperparameters of a training, without lessons, codes and seed."""
 
@@ -378,8 +372,10 @@ _METHOD: dict[str, Any] = dict(Method.model_fields)
 _CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
 
 
-class TrainSettings(Training):
+class TrainSettings(Form, Training):
     """Training on existing lessons."""
+
+    preset_prefix = "train_"
 
     preset: Literal["paper"] | None = Field(
         None,
@@ -404,3 +400,15 @@ class RetrainSettings(Training, CorpusSettings):
     """Retraining on a growing corpus."""
 
     models: Path = Field(description="Folder of the versions of the weights.")
+
+
+GROUPS: dict[str, Sequence[str]] = {
+    "Data": ("sources", "lessons", "data", "scenes", "rooms", "out", "preset"),
+    "Samples": tuple(Bounds.model_fields),
+    "Training": (*TrainingConfig.model_fields, "widths", "hidden"),
+    "Method": ("size", "near", "far", "trust_cameras", *BuildConfig.model_fields),
+    "Answers": tuple(Rules.model_fields),
+    "Components": (*KINDS, *TABLES),
+    "Engine": tuple(Engine.model_fields),
+}
+"""Fields in the order of forms; those of no group follow the first."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from flows.config import TABLES, MethodSettings, SceneSettings, Settings
-from flows.read_config import checked, layered, preset_values, refuse_idle
+from flows.config import TABLES, MethodSettings, SceneSettings, Settings, layered, preset_values
+from flows.read_config import checked, refuse_idle
 from flows.runners.batches import Failure, SceneTask
 from flows.scene import method_task_name, scene_task
 from slgaussian import datasets

@@ -13,8 +13,8 @@ import numpy as np
 import typer
 
 from flows.cli.options import settings_from
-from flows.config import RULES, TABLES, Method, table_of
-from flows.read_config import checked, layered, preset_values
+from flows.config import RULES, TABLES, Method, layered, preset_values, table_of
+from flows.read_config import checked
 from slgaussian import precompile
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from typer.core import TyperGroup
 
 from flows.config import Settings
+from flows.forms import with_default
 from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import InputError
 
@@ -59,14 +60,10 @@ def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
     if name in KINDS:
         values = names_of(name)
         text = f"{', '.join(values[:-1])} or {values[-1]}."
-    if not field.is_required() and field.default not in (None, False, []):
-        value = field.default
-        value = "x".join(map(str, value)) if isinstance(value, tuple) else value
-        text += f" [default: {value}]"
     return typer.Option(
         f"--{name.replace('_', '-')}",
         metavar=None if field.annotation is bool else f"<{name}>",
-        help=text,
+        help=with_default(text, None if field.is_required() else field.default),
         autocompletion=(lambda: list(values)) if values else None,
     )
 
