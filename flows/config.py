@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import Field, GetJsonSchemaHandler, create_model, model_validator
-from pydantic_core import CoreSchema
+from pydantic import Field, create_model, model_validator
 
-from flows.forms import RUNNERS, Phrase, Runner, Sides, Size, Widths, arrange
+from flows.forms import PRESETS, RUNNERS, Form, Phrase, Runner, Sides, Size, Widths
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, Config
 from slgaussian.components.method import BuildConfig
@@ -21,7 +19,7 @@ from slgaussian.components.method import Method as BuildMethod
 from slgaussian.components.registry import KINDS, find_config, names_of, plugins
 from slgaussian.datasets import FROM_FILES
 from slgaussian.datasets.configs import Bounds, Rule
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError
 from slgaussian.io import read_lines
 from slgaussian.kernels import threads
 from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig
@@ -29,68 +27,6 @@ from slgaussian.language.rules import Rules
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig, TrainingConfig
-from slgaussian.storage.remote import check_url
-
-PRESETS = ("fast", "balanced", "paper")
-"""Named settings, each a file in `presets`. The last has the settings of the paper, see
-`docs/reference/paper.md`."""
-
-URLS = ("store", "sources")
-"""Settings that may be URLs, one or several."""
-
-
-def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Return ``under`` updated by ``over``; tables are merged key by key."""
-    tables = {
-        name: {**under[name], **value}
-        for name, value in over.items()
-        if isinstance(value, dict) and isinstance(under.get(name), dict)
-    }
-    return {**under, **over, **tables}
-
-
-def preset_values(preset: Any, source: str = "", of: str = "") -> dict[str, Any]:
-    """Return the settings of a preset; ``of`` is the prefix of its file name.
-
-    Raises:
-        InputError: If there is no such preset.
-    """
-    folder = Path(__file__).parent / "presets"
-    available = [name for name in PRESETS if (folder / f"{of}{name}.toml").is_file()]
-    if preset not in available:
-        raise InputError(
-            f"{source}: preset: found {preset!r}, expected one of {', '.join(available)}"
-            f"{did_you_mean(preset, available)}".removeprefix(": ")
-        )
-    return tomllib.loads((folder / f"{of}{preset}.toml").read_text("utf-8"))
-
-
-class Form(Config):
-    """Base class of the configurations of flows, given by files, commands or Prefect's page."""
-
-    preset_prefix: ClassVar[str] = ""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _complete(cls, values: Any) -> Any:
-        """Add the settings of the preset; refuse URLs with credentials."""
-        if isinstance(values, cls):
-            return values
-        for name in URLS:
-            urls = values.get(name) or ()
-            for url in [urls] if isinstance(urls, str) else urls:
-                check_url(str(url), name)
-        if "preset" in cls.model_fields and values.get("preset") is not None:
-            values = layered(preset_values(values["preset"], of=cls.preset_prefix), values)
-        return values
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        schema = handler(core_schema)
-        arrange(handler.resolve_ref_schema(schema), GROUPS, handler.resolve_ref_schema)
-        return schema
 
 
 def table_of(component: str) -> str:
@@ -103,11 +39,10 @@ RULES = set(Rules.model_fields)
 
 
 def _kind(kind: str) -> Any:
-    return Field(
-        KINDS[kind].default,
-        description=KINDS[kind].help,
-        json_schema_extra=lambda schema: schema.update(enum=list(names_of(kind))),
-    )
+    names = [*names_of(kind)]
+    text = f"{KINDS[kind].help.removesuffix('.')}: {', '.join(names[:-1])} or {names[-1]}."
+    extra: Any = {"enum": names}
+    return Field(KINDS[kind].default, description=text, examples=names, json_schema_extra=extra)
 
 
 class MethodSettings(Rules, BuildConfig):
@@ -144,12 +79,6 @@ class MethodSettings(Rules, BuildConfig):
     clip: ClipConfig = ClipConfig()
     grid: GridConfig = GridConfig()
     branch: BranchConfig = BranchConfig()
-
-    @model_validator(mode="after")
-    def _check_components(self) -> Self:
-        for kind, name in self.component_names().items():
-            find_config(kind, name)  # InputError for an unknown name
-        return self
 
     def component_names(self) -> dict[str, str]:
         """Return the name of the component of each kind."""
@@ -311,9 +240,7 @@ class IndexSettings(Rule):
 class CorpusSettings(Bounds, Engine, Method):
     """Settings of views, samples and lessons, and their output folder."""
 
-    size: Sides = Field(
-        (256, 256), description="Height and width of the views of a lesson, as 256x256."
-    )
+    size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     sources: list[str] = Field(
         min_length=1, description="Chunks (a folder or URL), or folders of any scenes."
     )
@@ -338,7 +265,6 @@ class CorpusSettings(Bounds, Engine, Method):
 class DatasetSettings(CorpusSettings):
     """A training set: its sources, the content and format of its samples, its output folder."""
 
-    size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     targets: int = Field(3, ge=1, description="Number of target views, between the context views.")
     held_out: float = Field(
         0.2, ge=0, lt=1, description="Approximate fraction of the places in the split test."
@@ -367,9 +293,8 @@ class Training(TrainingConfig):
     )
 
 
-# Fields that are shared with other commands.
-_METHOD: dict[str, Any] = dict(Method.model_fields)
-_CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
+_SHARED: dict[str, Any] = dict(CorpusSettings.model_fields)
+"""Fields of other commands."""
 
 
 class TrainSettings(Form, Training):
@@ -382,13 +307,9 @@ class TrainSettings(Form, Training):
         examples=["paper"],
         description="Named settings: paper, those of its training; other options override them.",
     )
-    codes: str = Field(
-        "separated",
-        examples=["separated", "grid"],
-        description="Sampling of ID codes: separated or grid.",
-    )
-    seed: int = _METHOD["seed"]
-    store: str = _CORPUS["store"]
+    codes: str = _SHARED["codes"]
+    seed: int = _SHARED["seed"]
+    store: str = _SHARED["store"]
     lessons: Path = Field(description="Output folder of `supervise`.")
     start: Path | None = Field(
         None, description="Initial weights: a file, or a folder of versions."
@@ -402,13 +323,15 @@ class RetrainSettings(Training, CorpusSettings):
     models: Path = Field(description="Folder of the versions of the weights.")
 
 
-GROUPS: dict[str, Sequence[str]] = {
-    "Data": ("sources", "lessons", "data", "scenes", "rooms", "out", "preset"),
+_GROUPS: dict[str, Sequence[str]] = {
+    "Run": ("sources", "lessons", "data", "scenes", "rooms", "out", "preset", "models", "start",
+            "against", "sweep", "method", "format", "pairs", "labels", "targets", "images",
+            "shard_mb", "held_out", "withdrawn"),
     "Samples": tuple(Bounds.model_fields),
     "Training": (*TrainingConfig.model_fields, "widths", "hidden"),
     "Method": ("size", "near", "far", "trust_cameras", *BuildConfig.model_fields),
     "Answers": tuple(Rules.model_fields),
     "Components": (*KINDS, *TABLES),
     "Engine": tuple(Engine.model_fields),
-}
-"""Fields in the order of forms; those of no group follow the first."""
+}  # fmt: skip
+Form.titles = {key: f"{group}: {key}" for group, keys in _GROUPS.items() for key in keys}

@@ -9,21 +9,34 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from flows.config import TABLES, MethodSettings, Settings, layered, table_of
+from flows.config import TABLES, MethodSettings, Settings, table_of
+from flows.forms import layered
+from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
+from slgaussian.storage.remote import check_url
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
 """Settings that are paths."""
 
+URLS = ("store", "sources")
+"""Settings that may be URLs, one or several."""
+
 
 def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
     """Return ``model(**values)``; InputError, which names source and key."""
+    for name in URLS:
+        for url in [values[name]] if isinstance(values.get(name), str) else values.get(name) or ():
+            check_url(str(url), f"{source}: {name}")
     try:
-        return model(**values)
+        config = model(**values)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
+    if isinstance(config, MethodSettings):
+        for kind, name in config.component_names().items():
+            find_config(kind, name)  # InputError for an unknown name
+    return config
 
 
 def make_settings(values: dict[str, Any], source: str, model: Any = Settings) -> Any:

@@ -15,7 +15,6 @@ from typer.core import TyperGroup
 
 from flows.config import Settings
 from flows.forms import with_default
-from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import InputError
 
 ENGINE = ("store", "runner", "workers", "refresh")
@@ -57,9 +56,6 @@ def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
     """Return the option for a field of a configuration, with its description and default."""
     field = model.model_fields[name]
     text, values = field.description or "", tuple(field.examples or ())
-    if name in KINDS:
-        values = names_of(name)
-        text = f"{', '.join(values[:-1])} or {values[-1]}."
     return typer.Option(
         f"--{name.replace('_', '-')}",
         metavar=None if field.annotation is bool else f"<{name}>",
