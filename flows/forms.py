@@ -111,12 +111,9 @@ def with_default(text: str, default: Any) -> str:
 
 def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Return ``under`` updated by ``over``; tables are merged key by key."""
-    tables = {
-        name: {**under[name], **value}
-        for name, value in over.items()
-        if isinstance(value, dict) and isinstance(under.get(name), dict)
-    }
-    return {**under, **over, **tables}
+    tables = [name for name in under if isinstance(under[name], dict)]
+    both = {n: {**under[n], **over[n]} for n in tables if isinstance(over.get(n), dict)}
+    return {**under, **over, **both}
 
 
 def preset_values(name: Any, prefix: str = "") -> dict[str, Any]:
@@ -126,13 +123,9 @@ def preset_values(name: Any, prefix: str = "") -> dict[str, Any]:
 
 
 class Form(Config):
-    """Base class of the configurations of flows, given by files, commands or Prefect's page.
+    """Base class of the configurations of flows, given by files, commands or Prefect's page."""
 
-    Attributes:
-        titles: Titles of fields in the order of the page.
-    """
-
-    titles: ClassVar[dict[str, str]] = {}
+    titles: ClassVar[dict[str, str]] = {}  # of fields, in the order of the page
     preset_prefix: ClassVar[str] = ""
 
     @model_validator(mode="before")

@@ -101,15 +101,13 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
 
 
 def _tag_run(command: str, values: dict[str, Any]) -> None:
-    """Tag the flow run on an external server with command, version and names of its data.
-
-    Unlike ``prefect.tags``, this leaves its tasks alone: a task with tags asks for their limits.
-    """
+    """Tag the flow run on an external server with command, version and names of its data."""
     if NO_EVENTS in os.environ:
         return
     places = [*values.get("sources", ()), values.get("data"), values.get("lessons")]
     data = {Path(str(place)).name for place in places if place is not None}
     data |= {scene.dataset for scene in values.get("scenes", ())}
+    # `prefect.tags` would be on its tasks too, each of which then asks for the limits of its tags.
     with get_client(sync_client=True) as client:
         tags = {*flow_run.tags, command, f"slgaussian {__version__}", *data}
         client.update_flow_run(UUID(flow_run.id), tags=tags)
