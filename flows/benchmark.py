@@ -97,7 +97,7 @@ class RunResult:
         return shlex.join(["slgaussian", "view", shlex.split(self.ready)[2]]) if self.ready else ""
 
 
-@flow(name="slgaussian", persist_result=False)
+@flow(name="slgaussian", flow_run_name="run {config.out.name}", persist_result=False)
 def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     """Score the method and baselines on many scenes; write tables, masks, fields and report.
 

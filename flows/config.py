@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    PositiveInt,
-    StringConstraints,
-    create_model,
-    model_validator,
-)
+from pydantic import Field, create_model, model_validator
 
+from flows.forms import PRESETS, RUNNERS, Form, Phrase, Runner, Sides, Size, Widths
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, Config
 from slgaussian.components.method import BuildConfig
 from slgaussian.components.method import Method as BuildMethod
-from slgaussian.components.registry import KINDS, find_config, plugins
+from slgaussian.components.registry import KINDS, find_config, names_of, plugins
 from slgaussian.datasets import FROM_FILES
 from slgaussian.datasets.configs import Bounds, Rule
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError
 from slgaussian.io import read_lines
 from slgaussian.kernels import threads
 from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig
@@ -34,71 +27,6 @@ from slgaussian.language.rules import Rules
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig, TrainingConfig
-
-PRESETS = ("fast", "balanced", "paper")
-"""Named settings, each a file in `presets`. The last has the settings of the paper, see
-`docs/reference/paper.md`."""
-
-ALLOWED_SIDES = range(16, 8193)
-"""Allowed heights and widths of views, in pixels."""
-
-
-def _parse_sides(value: Any) -> tuple[int, int]:
-    """Parse height and width from ``"256x256"``, as on the command line, or from a pair."""
-    try:
-        height, width = map(int, value.split("x") if isinstance(value, str) else value)
-    except (TypeError, ValueError):
-        height = width = 0
-    if height not in ALLOWED_SIDES or width not in ALLOWED_SIDES:
-        raise ValueError(
-            f"expected height and width as in 256x256, each from {ALLOWED_SIDES[0]} to "
-            f"{ALLOWED_SIDES[-1]}"
-        )
-    return height, width
-
-
-AT_MOST_PREFIX = "at most "
-
-
-def _parse_size(value: Any) -> tuple[int, int] | str:
-    """Parse height and width, or one of the texts for sizes."""
-    if value in ("auto", "original"):
-        return value
-    bound = isinstance(value, str) and value.startswith(AT_MOST_PREFIX)
-    try:
-        sides = _parse_sides(value.removeprefix(AT_MOST_PREFIX) if bound else value)
-    except ValueError as error:
-        raise ValueError(f"{error}, 'at most 416x576', 'auto' or 'original'") from None
-    return "{}{}x{}".format(AT_MOST_PREFIX, *sides) if bound else sides
-
-
-Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]
-Size = Annotated[tuple[int, int] | str, BeforeValidator(_parse_size)]
-Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
-
-
-RUNNERS = ("threads", "processes")
-"""Runners on this machine."""
-
-PORTS = {"dask": 8786, "ray": 10001}
-"""Usual port of a running cluster."""
-
-
-def _parse_runner(value: Any) -> str:
-    text = str(value)
-    if text in RUNNERS or re.fullmatch(r"(dask|ray)://.+:\d+", text):
-        return text
-    kind = text.partition("://")[0]
-    advice = did_you_mean(kind, (*RUNNERS, "dask", "ray"))
-    if kind in PORTS:
-        advice = f"; give the address of the running cluster, as {kind}://host:{PORTS[kind]}"
-    raise ValueError(
-        "expected threads, processes, or for a cluster that runs dask://host:port or "
-        f"ray://host:port{advice}"
-    )
-
-
-Runner = Annotated[str, BeforeValidator(_parse_runner)]
 
 
 def table_of(component: str) -> str:
@@ -111,7 +39,10 @@ RULES = set(Rules.model_fields)
 
 
 def _kind(kind: str) -> Any:
-    return Field(KINDS[kind].default, description=KINDS[kind].help)
+    names = [*names_of(kind)]
+    text = f"{KINDS[kind].help.removesuffix('.')}: {', '.join(names[:-1])} or {names[-1]}."
+    extra: Any = {"enum": names}
+    return Field(KINDS[kind].default, description=text, examples=names, json_schema_extra=extra)
 
 
 class MethodSettings(Rules, BuildConfig):
@@ -230,7 +161,7 @@ def check_names(scenes: Sequence[SceneSettings]) -> None:
             raise InputError(f"two scenes are called {name!r}; names must be unique")
 
 
-class Engine(Config):
+class Engine(Form):
     """Runner, workers and store of a flow."""
 
     store: str = Field(
@@ -258,7 +189,7 @@ class Engine(Config):
 class Settings(Engine, Method):
     """Configuration of a run."""
 
-    preset: str | None = Field(
+    preset: Literal["fast", "balanced", "paper"] | None = Field(
         None,
         examples=list(PRESETS),
         description=f"Named settings: {', '.join(PRESETS)}; other options override them.",
@@ -309,9 +240,7 @@ class IndexSettings(Rule):
 class CorpusSettings(Bounds, Engine, Method):
     """Settings of views, samples and lessons, and their output folder."""
 
-    size: Sides = Field(
-        (256, 256), description="Height and width of the views of a lesson, as 256x256."
-    )
+    size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     sources: list[str] = Field(
         min_length=1, description="Chunks (a folder or URL), or folders of any scenes."
     )
@@ -336,7 +265,6 @@ class CorpusSettings(Bounds, Engine, Method):
 class DatasetSettings(CorpusSettings):
     """A training set: its sources, the content and format of its samples, its output folder."""
 
-    size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     targets: int = Field(3, ge=1, description="Number of target views, between the context views.")
     held_out: float = Field(
         0.2, ge=0, lt=1, description="Approximate fraction of the places in the split test."
@@ -347,14 +275,6 @@ class DatasetSettings(CorpusSettings):
         description="Format of stored images: jpg (quality 95) or png.",
     )
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is full.")
-
-
-Widths = Annotated[
-    tuple[PositiveInt, ...],
-    BeforeValidator(lambda value: value.split(",") if isinstance(value, str) else value),
-    Field(min_length=1),
-]
-"""Numbers of channels: a list, or text as in 8,16,24,32."""
 
 
 class Training(TrainingConfig):
@@ -373,26 +293,23 @@ class Training(TrainingConfig):
     )
 
 
-# Fields that are shared with other commands.
-_METHOD: dict[str, Any] = dict(Method.model_fields)
-_CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
+_SHARED: dict[str, Any] = dict(CorpusSettings.model_fields)
+"""Fields of other commands."""
 
 
-class TrainSettings(Training):
+class TrainSettings(Form, Training):
     """Training on existing lessons."""
+
+    preset_prefix = "train_"
 
     preset: Literal["paper"] | None = Field(
         None,
         examples=["paper"],
         description="Named settings: paper, those of its training; other options override them.",
     )
-    codes: str = Field(
-        "separated",
-        examples=["separated", "grid"],
-        description="Sampling of ID codes: separated or grid.",
-    )
-    seed: int = _METHOD["seed"]
-    store: str = _CORPUS["store"]
+    codes: str = _SHARED["codes"]
+    seed: int = _SHARED["seed"]
+    store: str = _SHARED["store"]
     lessons: Path = Field(description="Output folder of `supervise`.")
     start: Path | None = Field(
         None, description="Initial weights: a file, or a folder of versions."
@@ -404,3 +321,17 @@ class RetrainSettings(Training, CorpusSettings):
     """Retraining on a growing corpus."""
 
     models: Path = Field(description="Folder of the versions of the weights.")
+
+
+_GROUPS: dict[str, Sequence[str]] = {
+    "Run": ("sources", "lessons", "data", "scenes", "rooms", "out", "preset", "models", "start",
+            "against", "sweep", "method", "format", "pairs", "labels", "targets", "images",
+            "shard_mb", "held_out", "withdrawn"),
+    "Samples": tuple(Bounds.model_fields),
+    "Training": (*TrainingConfig.model_fields, "widths", "hidden"),
+    "Method": ("size", "near", "far", "trust_cameras", *BuildConfig.model_fields),
+    "Answers": tuple(Rules.model_fields),
+    "Components": (*KINDS, *TABLES),
+    "Engine": tuple(Engine.model_fields),
+}  # fmt: skip
+Form.titles = {key: f"{group}: {key}" for group, keys in _GROUPS.items() for key in keys}

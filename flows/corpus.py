@@ -59,7 +59,7 @@ class Prepared:
         return ", ".join(f"{count} {stage}" for stage, count in self.rows.items())
 
 
-@flow(name="slgaussian-ingest", persist_result=False)
+@flow(name="slgaussian-ingest", flow_run_name="ingest {config.out.name}", persist_result=False)
 def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
     """Choose samples of all sources: ``views.parquet`` and ``pairs.parquet``.
 
@@ -80,7 +80,9 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
     return final_state(prepared.message, prepared, prepared.failures, prepared.empty)
 
 
-@flow(name="slgaussian-supervise", persist_result=False)
+@flow(
+    name="slgaussian-supervise", flow_run_name="supervise {config.out.name}", persist_result=False
+)
 def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
     """Make the lessons of a corpus: ``lessons.parquet``, and the tables of :func:`ingest_corpus`.
 

@@ -51,7 +51,7 @@ class TrainingSetResult:
     failures: list[Failure]
 
 
-@flow(name="slgaussian-dataset", persist_result=False)
+@flow(name="slgaussian-dataset", flow_run_name="dataset {config.out.name}", persist_result=False)
 def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[TrainingSetResult]:
     """Make a training set, or update an existing one.
 

@@ -9,9 +9,10 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from flows.config import PRESETS, TABLES, MethodSettings, Settings, TrainSettings, table_of
+from flows.config import TABLES, MethodSettings, Settings, table_of
+from flows.forms import layered
 from slgaussian.components.registry import find_config
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError
 from slgaussian.storage.remote import check_url
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
@@ -24,13 +25,10 @@ URLS = ("store", "sources")
 
 
 def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
-    """Return ``model(**values)`` with its preset; InputError, which names source and key."""
+    """Return ``model(**values)``; InputError, which names source and key."""
     for name in URLS:
         for url in [values[name]] if isinstance(values.get(name), str) else values.get(name) or ():
             check_url(str(url), f"{source}: {name}")
-    if "preset" in model.model_fields and values.get("preset") is not None:
-        of = "train_" if model is TrainSettings else ""
-        values = layered(preset_values(values["preset"], source, of), values)
     try:
         config = model(**values)
     except InputError as error:
@@ -79,32 +77,6 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
     return layered(anchored(values, path.resolve().parent), overrides)
-
-
-def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
-    """Return the settings of a preset; ``of`` is the prefix of its file name.
-
-    Raises:
-        InputError: If there is no such preset.
-    """
-    folder = Path(__file__).parent / "presets"
-    available = [name for name in PRESETS if (folder / f"{of}{name}.toml").is_file()]
-    if preset not in available:
-        raise InputError(
-            f"{source}: preset: found {preset!r}, expected one of {', '.join(available)}"
-            f"{did_you_mean(preset, available)}"
-        )
-    return tomllib.loads((folder / f"{of}{preset}.toml").read_text("utf-8"))
-
-
-def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Return ``under`` updated by ``over``; tables of components are merged key by key."""
-    tables = {
-        name: {**under[name], **over[name]}
-        for name in TABLES
-        if isinstance(under.get(name), dict) and isinstance(over.get(name), dict)
-    }
-    return {**under, **over, **tables}
 
 
 def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -88,7 +88,7 @@ class Learnt:
     regressed: str = ""
 
 
-@flow(name="slgaussian-retrain", persist_result=False)
+@flow(name="slgaussian-retrain", flow_run_name="retrain {config.models.name}", persist_result=False)
 def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]:
     """Ingest and label new clips, train, evaluate, and promote the weights if they are better.
 

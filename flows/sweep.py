@@ -12,7 +12,8 @@ from itertools import product
 from typing import Any
 
 from flows.config import TABLES, MethodSettings, SceneSettings, Settings
-from flows.read_config import checked, layered, preset_values, refuse_idle
+from flows.forms import layered, preset_values
+from flows.read_config import checked, refuse_idle
 from flows.runners.batches import Failure, SceneTask
 from flows.scene import method_task_name, scene_task
 from slgaussian import datasets
@@ -123,7 +124,7 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
                 raise InputError(f"sweep: views: found {value!r}, expected a number from 2")
             views = int(value)
         elif field == PRESET:
-            changes = layered(changes, preset_values(value, "sweep"))
+            changes = layered(changes, {**preset_values(value), PRESET: value})
         elif dot and table in TABLES:
             changes = layered(changes, {table: {**changes.get(table, {}), key: value}})
         elif field in MethodSettings.model_fields:

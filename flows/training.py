@@ -89,7 +89,7 @@ class Trained:
                 write_atomic(out / FILES[name], data)
 
 
-@flow(name="slgaussian-train", persist_result=False)
+@flow(name="slgaussian-train", flow_run_name="train {config.out.name}", persist_result=False)
 def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]:
     """Train the semantic branch on the lessons in a folder; write weights, tables and report.
 

@@ -13,8 +13,8 @@ import numpy as np
 import typer
 
 from flows.cli.options import settings_from
-from flows.config import RULES, TABLES, Method, table_of
-from flows.read_config import checked, layered, preset_values
+from flows.config import RULES, TABLES, Method, Settings, table_of
+from flows.read_config import checked
 from slgaussian import precompile
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
@@ -41,14 +41,13 @@ def open_field(
             encoder's files cannot be read.
     """
     values = settings_from(ctx, Method, preset=ctx.params.get("preset"))
-    preset = preset_values(values.pop("preset"), "query") if "preset" in values else {}
-    fields = checked(Method, layered(preset, values), "query").model_dump(exclude_unset=True)
+    fields = checked(Settings, values, "query").model_dump(exclude_unset=True)
     chosen = {name: value for name, value in fields.items() if name in RULES}
     field = SemanticField.load(folder)
     precompile.announce()
     encoder = field.settings["encoder"]
     places = fields[encoder] if encoder in values else {}
-    fixed = values.keys() - (RULES if rules else set()) - {encoder}
+    fixed = values.keys() - (RULES if rules else set()) - {encoder, "preset"}
     fixed |= {f"{encoder}.{k}" for k in places if k not in TABLES[table_of(encoder)].files()}
     if fixed:
         raise InputError(

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from typer.core import TyperGroup
 
 from flows.config import Settings
-from slgaussian.components.registry import KINDS, names_of
+from flows.forms import with_default
 from slgaussian.errors import InputError
 
 ENGINE = ("store", "runner", "workers", "refresh")
@@ -56,17 +56,10 @@ def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
     """Return the option for a field of a configuration, with its description and default."""
     field = model.model_fields[name]
     text, values = field.description or "", tuple(field.examples or ())
-    if name in KINDS:
-        values = names_of(name)
-        text = f"{', '.join(values[:-1])} or {values[-1]}."
-    if not field.is_required() and field.default not in (None, False, []):
-        value = field.default
-        value = "x".join(map(str, value)) if isinstance(value, tuple) else value
-        text += f" [default: {value}]"
     return typer.Option(
         f"--{name.replace('_', '-')}",
         metavar=None if field.annotation is bool else f"<{name}>",
-        help=text,
+        help=with_default(text, None if field.is_required() else field.default),
         autocompletion=(lambda: list(values)) if values else None,
     )
 

@@ -34,6 +34,7 @@ from prefect.states import Cancelled, State
 from flows.runners import logger
 from flows.runners.batches import Failure, TooManyFailuresError, state_after, write_failures
 from flows.runners.task_runners import NO_EVENTS
+from slgaussian import __version__
 from slgaussian.errors import InputError, SLGaussianError, did_you_mean
 from slgaussian.io import write_atomic
 from slgaussian.storage.provenance import Provenance, record_provenance
@@ -69,6 +70,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
         threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
     damaged: dict[str, str] = {}
     check_folder(config.out)
+    _tag_run(command, dict(config))
     with record_provenance(Provenance(command)):
         while True:
             try:
@@ -97,6 +99,19 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
                         # As Prefect does; functions of `atexit` come after the threads' end.
                         threading._register_atexit(_exit_at_once)  # type: ignore[attr-defined]
                 raise
+
+
+def _tag_run(command: str, values: dict[str, Any]) -> None:
+    """Tag the flow run on an external server with command, version and names of its data."""
+    if NO_EVENTS in os.environ:
+        return
+    places = [*values.get("sources", ()), values.get("data"), values.get("lessons")]
+    data = {Path(str(place)).name for place in places if place is not None}
+    data |= {scene.dataset for scene in values.get("scenes", ())}
+    # `prefect.tags` would be on its tasks too, each of which then asks for the limits of its tags.
+    with get_client(sync_client=True) as client:
+        tags = {*flow_run.tags, command, f"slgaussian {__version__}", *data}
+        client.update_flow_run(UUID(flow_run.id), tags=tags)
 
 
 def _exit_with_parent(parent: int) -> None:

@@ -29,7 +29,7 @@ def test_the_papers_training_is_a_preset():
     chosen = checked(TrainSettings, values, "train")
     assert (chosen.steps, chosen.batch, chosen.codes) == (80_000, 1, "grid")
     assert checked(TrainSettings, {**values, "steps": 5}, "train").steps == 5
-    with pytest.raises(InputError, match="found 'fast', expected one of paper"):
+    with pytest.raises(InputError, match="found 'fast', expected 'paper'"):
         checked(TrainSettings, {**values, "preset": "fast"}, "train")
 
 
