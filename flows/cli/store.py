@@ -1,4 +1,4 @@
-"""The commands `slgaussian inspect` and `slgaussian store gc`."""
+"""The commands `slgaussian inspect` and `slgaussian store gc | status`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -85,6 +85,44 @@ def gc(
     typer.echo(f"stays: {garbage.kept} artifacts that are referred to{young}")
     if summary and not yes:
         typer.echo("nothing was removed: give --yes to do it")
+
+
+@store_app.command()
+@options.configured("store")
+def status(
+    ctx: typer.Context,
+    config: Annotated[Path, typer.Argument(help="TOML file of `run`, or of a corpus.")],
+    as_json: options.AsJson = False,
+) -> None:
+    """List the results that a configuration lacks in its store, and the time to compute them.
+
+    Computes nothing. Counts the scenes by stage whose result is stored, missing, of an older
+    version of the stage, or failed in the last run. Lists each scene with its first stage without a
+    result; later ones are waiting, as their inputs are unknown. A file with `sources` is one of
+    `retrain`, which counts lessons. The time is that of the records in the store: the usual one,
+    and those of the fastest and slowest tenth. The exit status is 1 if anything is missing.
+
+    \b
+    slgaussian store status kitchen.toml
+    slgaussian run kitchen.toml --only-missing
+    """
+    from flows.cli.run import prepare_prefect
+    from flows.config import CorpusSettings, RetrainSettings, Settings
+    from flows.read_config import read_toml, read_values
+    from slgaussian.storage.backlog import as_text, summarise
+    from slgaussian.storage.records import Records
+
+    values = read_values(config, {})
+    corpus = RetrainSettings if "models" in values else CorpusSettings
+    model: Any = corpus if "sources" in values else Settings
+    settings = read_toml(config, options.settings_from(ctx, model), model, "store status")
+    with _opened(settings.store) as opened:
+        prepare_prefect(settings.store)
+        from flows.status import walk_scenes
+
+        backlog = summarise(walk_scenes(settings, opened), Records(opened), settings.workers)
+    typer.echo(json.dumps(backlog, indent=1, ensure_ascii=False) if as_json else as_text(backlog))
+    raise typer.Exit(bool(backlog["gaps"]))
 
 
 @contextmanager
