@@ -17,7 +17,7 @@ from flows.config import Settings
 from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import InputError
 
-ENGINE = ("store", "runner", "workers", "refresh", "only_missing")
+ENGINE = ("store", "runner", "workers", "refresh")
 COMPONENTS = ("predictor", "proposer", "tracker")
 LABELLED_SET = ("data", "pairs", "labels", "format", "rooms")
 """Fields that are options of several commands."""

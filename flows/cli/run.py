@@ -14,7 +14,7 @@ from flows.read_config import checked, make_settings, read_toml
 from slgaussian.errors import InputError
 
 
-@options.configured("preset", "seed", *options.ENGINE)
+@options.configured("preset", "seed", *options.ENGINE, "only_missing")
 def run(
     ctx: typer.Context,
     config: Annotated[Path, typer.Argument(help="TOML file with any of the settings.")],
