@@ -146,8 +146,8 @@ class Stage:
             key = cache_key(self.name, self.version, arguments)
             if self.name in run.refresh:
                 raise NotStoredError("to be computed anew")
-            run.refs[self.name] = stored = Records(run.store).require(key)
-            return stored
+            run.refs[self.name] = ref = Records(run.store).require(key)
+            return ref
         start = time.perf_counter()
         refs = list(refs_in(arguments))
         edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]

@@ -21,7 +21,7 @@ Sources = Annotated[
 ]
 
 
-@options.configured("most", *options.ENGINE, "only_missing", model=CorpusSettings)
+@options.configured("most", *options.ENGINE, model=CorpusSettings)
 def ingest(
     ctx: typer.Context, sources: Sources, out: options.Out, verbose: options.Verbose = False
 ) -> None:
@@ -41,9 +41,7 @@ def ingest(
     _prepare("ingest", ctx, verbose)
 
 
-@options.configured(
-    "size", *options.COMPONENTS, "most", *options.ENGINE, "only_missing", model=CorpusSettings
-)
+@options.configured("size", *options.COMPONENTS, "most", *options.ENGINE, model=CorpusSettings)
 def supervise(
     ctx: typer.Context, sources: Sources, out: options.Out, verbose: options.Verbose = False
 ) -> None:
@@ -71,9 +69,7 @@ def _prepare(command: str, ctx: typer.Context, verbose: bool) -> None:
     report_left_out(settings.out, prepared.failures)
 
 
-@options.configured(
-    "size", "targets", "held_out", *options.ENGINE, "only_missing", model=DatasetSettings
-)
+@options.configured("size", "targets", "held_out", *options.ENGINE, model=DatasetSettings)
 def dataset(
     ctx: typer.Context,
     out: Annotated[Path, typer.Argument(help="Folder of the training set.")],

@@ -96,11 +96,10 @@ def status(
 ) -> None:
     """List the results that a configuration lacks in its store, and the time to compute them.
 
-    Computes nothing. Counts the scenes by stage whose result is stored, missing, of an older
-    version of the stage, or failed in the last run. Lists each scene with its first stage without a
-    result; later ones are waiting, as their inputs are unknown. A file with `sources` is one of
-    `retrain`, which counts lessons. The time is that of the records in the store: the usual one,
-    and those of the fastest and slowest tenth. The exit status is 1 if anything is missing.
+    Computes nothing. Counts scenes by stage whose result is stored, missing, of an older version of
+    the stage, or failed in the last run; later stages wait. A file with `sources`, as that of
+    `retrain`, is looked up for lessons. The time is by the records of the store. The exit status is
+    1 if anything is missing.
 
     \b
     slgaussian store status kitchen.toml
@@ -118,9 +117,11 @@ def status(
     settings = read_toml(config, options.settings_from(ctx, model), model, "store status")
     with _opened(settings.store) as opened:
         prepare_prefect(settings.store)
-        from flows.status import walk_scenes
+        from flows.runners.batches import FAILURES
+        from flows.status import look_up
 
-        backlog = summarise(walk_scenes(settings, opened), Records(opened), settings.workers)
+        failures, records = settings.out / FAILURES, Records(opened)
+        backlog = summarise(look_up(settings, opened), failures, records, settings.workers)
     typer.echo(json.dumps(backlog, indent=1, ensure_ascii=False) if as_json else as_text(backlog))
     raise typer.Exit(bool(backlog["gaps"]))
 

@@ -228,7 +228,8 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         stored = look_up_scenes(waiting, workers.store, workers.refresh)
         outcome.refs = {result.scene: result.refs for result in stored if result.failure is None}
         waiting = deque(t for t in waiting if t.scene not in outcome.refs)
-        progress.leave(len(outcome.refs))
+        progress.line(f"complete in the store: {len(outcome.refs)} of {total} {progress.unit}")
+        progress.scenes, progress.total = len(waiting), len(waiting) * progress.stages
     retried_singly: deque[SceneTask] = deque()
     lost_before: set[str] = set()
     news: queue.SimpleQueue[StageEvent | PrefectFuture[Any]] = queue.SimpleQueue()

@@ -107,12 +107,6 @@ class Progress:
             logging.WARNING,
         )
 
-    def leave(self, scenes: int) -> None:
-        """Print the number of scenes that need no work, and uncount them."""
-        self.line(f"complete in the store: {scenes} of {self.scenes} {self.unit}")
-        self.scenes -= scenes
-        self.total -= scenes * self.stages
-
     def line(self, text: str, level: int = logging.INFO) -> None:
         """Print and log permanent lines; control characters are escaped."""
         logger.log(level, text)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from slgaussian.benchmark.documents import read_json
 from slgaussian.benchmark.reports.model import flatten
@@ -15,61 +13,56 @@ from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
 
 URI = "MLFLOW_TRACKING_URI"
-"""MLflow's environment variable of its server, data base or folder: results are logged if it is set
-(https://mlflow.org/docs/latest/ml/tracking/)."""
-
-EXPERIMENT = "slgaussian"
-"""Experiment, unless MLflow's ``MLFLOW_EXPERIMENT_NAME`` names another."""
+"""MLflow's variable (https://mlflow.org/docs/latest/ml/tracking/): results are logged if it is set,
+to the experiment ``slgaussian`` or the one in ``MLFLOW_EXPERIMENT_NAME``."""
 
 DOCUMENTS = {"run": "manifest.json", "retrain": "retraining.json"}
-"""Description of the results of the commands that are logged."""
-
-SCORES = "scores.parquet"
-ARTIFACTS = (SCORES, "report.html", "report.md", "run.toml")
-"""Further files of the output folder that are logged, if they are there."""
+"""Descriptions of results by the command that writes them."""
 
 PARAMETERS = ("slgaussian", "seed", "settings", "weights", "index", "stages")
 """Parts of a manifest that are logged as parameters."""
 
-NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
+SCORES = "scores.parquet"
+FILES = (*DOCUMENTS.values(), SCORES, "report.html", "report.md", "run.toml")
 
 BATCH = 100
 """Largest number of parameters that MLflow accepts at once."""
 
 
 def log_results(command: str, out: Path) -> str:
-    """Log parameters, scores and reports in an output folder, if MLflow is asked for.
+    """Log the results of a command in an output folder, if MLflow is asked for.
 
-    Parameters are the settings, weights and versions of the manifest; metrics are the scores,
-    DATASET/PROTOCOL/METHOD/METRIC, or the numbers of a retraining.
+    The parameters are settings, weights and versions; the metrics are the scores, named
+    DATASET/PROTOCOL/METHOD/METRIC, or the numbers of a retraining; :data:`FILES` are artifacts.
 
     Returns:
-        str: Why nothing was logged, or not all; empty if all was, or :data:`URI` is not set.
+        str: Why not all was logged; empty if it was, or there is nothing to log.
     """
     if not os.environ.get(URI) or not (file := out / DOCUMENTS.get(command, "-")).is_file():
         return ""
     try:
         import mlflow
 
-        document = read_json(file, "document")
-        parameters = flatten({n: document[n] for n in PARAMETERS if n in document})
-        scores: dict[str, Any] = {}
+        document, metrics = read_json(file, "document"), dict[str, float]()
+        facts = flatten({name: document[name] for name in PARAMETERS if name in document})
+        parameters = [(_valid(name), value) for name, value in facts.items()]
         if command == "retrain":
-            scores = {n: v for n, v in flatten(document).items() if NUMBER.fullmatch(v)}
+            for name, text in flatten(document).items():
+                if re.fullmatch(r"-?\d+(\.\d+)?(e[+-]?\d+)?", text):
+                    metrics[_valid(name)] = float(text)
         elif (out / SCORES).is_file():
-            table = decode_table((out / SCORES).read_bytes(), load_spec("scores"), SCORES)
-            for row in table.to_pylist():
-                place = (row[key] for key in ("dataset", "protocol", "method", "metric"))
-                scores["/".join(place)] = row["value"]
+            scores = decode_table((out / SCORES).read_bytes(), load_spec("scores"), SCORES)
+            for row in scores.to_pylist():
+                names = (row[key] for key in ("dataset", "protocol", "method", "metric"))
+                metrics[_valid("/".join(names))] = row["value"]
         if not os.environ.get("MLFLOW_EXPERIMENT_NAME"):
-            mlflow.set_experiment(EXPERIMENT)
+            mlflow.set_experiment("slgaussian")
         with mlflow.start_run(run_name=f"{command} {out.name}", nested=True):
-            mlflow.set_tags({"command": command, "outcome": document.get("outcome", "completed")})
-            items = list(_with_valid_names(parameters).items())
-            for start in range(0, len(items), BATCH):
-                mlflow.log_params(dict(items[start : start + BATCH]))
-            mlflow.log_metrics({n: float(v) for n, v in _with_valid_names(scores).items()})
-            for name in (file.name, *ARTIFACTS):
+            mlflow.set_tag("outcome", document.get("outcome", "completed"))
+            for start in range(0, len(parameters), BATCH):
+                mlflow.log_params(dict(parameters[start : start + BATCH]))
+            mlflow.log_metrics(metrics)
+            for name in FILES:
                 if (out / name).is_file():
                     mlflow.log_artifact(str(out / name))
     except ImportError as error:
@@ -80,6 +73,6 @@ def log_results(command: str, out: Path) -> str:
     return ""
 
 
-def _with_valid_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace the characters in names that MLflow refuses."""
-    return {re.sub(r"[^\w\-. /]", "_", name): value for name, value in values.items()}
+def _valid(name: str) -> str:
+    """Replace the characters that MLflow refuses in names."""
+    return re.sub(r"[^\w\-. /]", "_", name)

@@ -9,7 +9,7 @@ import pytest
 from command import ROOM, score
 
 from flows.read_config import make_settings
-from slgaussian.benchmark.mlflow_log import EXPERIMENT, URI, log_results
+from slgaussian.benchmark.mlflow_log import URI, log_results
 from slgaussian.storage.store import ArtifactStore
 
 mlflow = pytest.importorskip("mlflow", reason="needs the extra mlflow")
@@ -27,7 +27,7 @@ def tracking(monkeypatch, tmp_path) -> str:
 
 def runs_in(uri: str) -> list:
     client = mlflow.MlflowClient(uri)
-    experiment = client.get_experiment_by_name(EXPERIMENT)
+    experiment = client.get_experiment_by_name("slgaussian")
     return client.search_runs([experiment.experiment_id], order_by=["attribute.start_time"])
 
 
