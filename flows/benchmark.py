@@ -139,8 +139,8 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     scenes, notes = scenes_of(config)
     variants, method = combinations(config), config.built_by
     refresh = stages_to_refresh(config, REFRESHABLE)
-    limit = config.max_failures
-    with open_workers(config.runner, config.workers, store, refresh, limit) as workers:
+    limits = config.max_failures, config.only_missing
+    with open_workers(config.runner, config.workers, store, refresh, *limits) as workers:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
         for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
             progress.line(text)

@@ -124,6 +124,17 @@ class Clips:
     failures: list[Failure]
 
 
+def source_tasks(
+    sources: Iterable[Source], pipeline: Callable[..., object], arguments: tuple[Any, ...]
+) -> list[SceneTask]:
+    """Return the tasks of a pipeline on sources; arguments as in :func:`map_sources`."""
+    tasks = []
+    for source in sources:
+        first = views if isinstance(source.holds, str) else packed
+        tasks.append(SceneTask(source.name, pipeline, (source.holds, *arguments), first.name))
+    return tasks
+
+
 def map_sources(
     config: CorpusSettings,
     workers: Workers,
@@ -140,11 +151,7 @@ def map_sources(
     sources, withdrawn = sources_of(config.sources), config.withdrawn_clips()
     outcome = Outcome()
     for unit, first, extra in (("chunks", views, 0), ("scenes", packed, 1)):
-        tasks = [
-            SceneTask(source.name, pipeline, (source.holds, *arguments), first.name)
-            for source in sources
-            if isinstance(source.holds, str) == (unit == "chunks")
-        ]
+        tasks = [t for t in source_tasks(sources, pipeline, arguments) if t.first == first.name]
         part = map_with_progress(tasks, workers, stages + extra, unit, verbose)
         outcome.refs |= part.refs
         outcome.failures += part.failures

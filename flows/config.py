@@ -184,6 +184,10 @@ class Engine(Form):
     refresh: list[str] = Field(
         [], description="Stages to recompute, with all stages that depend on them."
     )
+    only_missing: bool = Field(
+        False,
+        description="Run tasks only for scenes (or chunks) without a complete result in the store.",
+    )
 
 
 class Settings(Engine, Method):

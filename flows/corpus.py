@@ -95,11 +95,15 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
 
 def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
     """Do the work of :func:`supervise_corpus` within any flow."""
-    method = config.built_by
-    method.check()
+    config.built_by.check()
+    pipeline = make_lessons, lesson_arguments(config)
+    return _prepare(config, store, SUPERVISE, *pipeline, verbose)[0]
+
+
+def lesson_arguments(config: CorpusSettings) -> tuple[Any, ...]:
+    """Return the arguments of :func:`make_lessons` besides the source."""
     framing = Framing(config.size, config.near, config.far)
-    arguments = Bounds.of(config), config.trust_cameras, framing, method
-    return _prepare(config, store, SUPERVISE, make_lessons, arguments, verbose)[0]
+    return Bounds.of(config), config.trust_cameras, framing, config.built_by
 
 
 def make_lessons(
@@ -136,8 +140,8 @@ def _prepare(
     """Run a pipeline with these stages on all sources, and write their tables."""
     check(config, store)
     refresh = stages_to_refresh(config, (packed.name, *stages))
-    limit = config.max_failures
-    with open_workers(config.runner, config.workers, store, refresh, limit) as workers:
+    limits = config.max_failures, config.only_missing
+    with open_workers(config.runner, config.workers, store, refresh, *limits) as workers:
         clips = map_sources(config, workers, pipeline, arguments, len(stages), verbose)
     with writing(config.out):
         rows = {

@@ -76,8 +76,8 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
     check(config, store)
     stages = packed, views, pairs, *SAMPLES
     refresh = stages_to_refresh(config, [stage.name for stage in stages])
-    limit = config.max_failures
-    with open_workers(config.runner, config.workers, store, refresh, limit) as workers:
+    limits = config.max_failures, config.only_missing
+    with open_workers(config.runner, config.workers, store, refresh, *limits) as workers:
         arguments = Bounds.of(config), config.trust_cameras, config.targets
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         places = Places()

@@ -46,6 +46,7 @@ class RunContext:
         notify: callable. Receives every :class:`StageEvent`.
         refresh: frozenset of str. Names of stages to recompute, with the stages that depend on
             them.
+        look_up: Compute nothing: the first stage without a stored result raises NotStoredError.
         refs: {stage: ArtifactRef}. Results of the stages so far.
         stage, key: The running stage and its cache key.
         results: {digest: StageResult}. The same results as Prefect task results.
@@ -56,6 +57,7 @@ class RunContext:
     workers: int = 1
     notify: Notify = lambda event: None
     refresh: frozenset[str] = frozenset()
+    look_up: bool = False
     refs: dict[str, ArtifactRef] = field(default_factory=dict)
     stage: str = ""
     key: str = ""

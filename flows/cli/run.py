@@ -14,7 +14,7 @@ from flows.read_config import checked, make_settings, read_values, refuse_idle
 from slgaussian.errors import InputError
 
 
-@options.configured("preset", "seed", *options.ENGINE)
+@options.configured("preset", "seed", *options.ENGINE, "only_missing")
 def run(
     ctx: typer.Context,
     config: Annotated[Path, typer.Argument(help="TOML file with any of the settings.")],
@@ -133,7 +133,7 @@ def run_scenes(command: str, settings: Any, verbose: bool) -> None:
 
     precompile.begin()
     results = run_flow(command, settings, verbose)
-    from flows.cli.score_tables import scenes_text
+    from slgaussian.benchmark.reports.terminal import scenes_text
 
     if results.results:
         typer.echo(scenes_text(results.results))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -39,7 +40,7 @@ def score(
     """
     settings = make_settings(options.settings_from(ctx), "score")
     from flows import scoring
-    from flows.cli.score_tables import methods_text
+    from slgaussian.benchmark.reports.terminal import methods_text
 
     scores = scoring.score(settings, predictions, protocols or [], out)
     rows = [row for result in scores.results for row in result.rows]
@@ -59,26 +60,41 @@ def score(
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of results.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the pages.")] = None,
+    fail_below: Annotated[
+        float | None, typer.Option(min=0, metavar="LOSS", help="Exit with 1 if a method lost more.")
+    ] = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compare the settings and scores of runs, and rank their methods.
 
     Prints each run minus the first, for each method, on the queries of both runs, with bootstrap
     intervals over scenes. Methods are ranked in a table for each data set, protocol and size; a
-    table has only results for the same queries.
+    table has only results for the same queries. With --fail-below, the exit status is 1 if the mean
+    IoU of a method over the common scenes fell by more (on any data set; of the first score and
+    protocol), and 2 if there is nothing to compare.
 
     \b
     slgaussian compare before after -o changes
+    slgaussian compare main branch --fail-below 0.02 --json
     slgaussian compare ours theirs another -o board
     """
     from slgaussian.benchmark.outputs import write_file
-    from slgaussian.benchmark.reports.comparison import compare_runs, read_run
+    from slgaussian.benchmark.reports import comparison
 
-    report = compare_runs([read_run(folder) for folder in runs])
-    typer.echo(report.as_text())
+    tables = [comparison.read_run(folder) for folder in runs]
+    report, rows = comparison.compare_runs(tables), comparison.list_differences(tables)
+    typer.echo(json.dumps(rows, indent=1, ensure_ascii=False) if as_json else report.as_text())
     if out is not None:
         write_file(out / "compare.html", report.as_html().encode())
         write_file(out / "compare.md", report.as_markdown().encode())
-        typer.echo(f"\npage: {out / 'compare.html'}")
+        typer.echo(f"\npage: {out / 'compare.html'}", err=as_json)
+    if fail_below is not None:
+        lost = comparison.list_losses(tables, rows, fail_below)
+        typer.echo(
+            "\n".join(lost) or f"no scene is absent, and no method lost more than {fail_below:g}",
+            err=True,
+        )
+        raise typer.Exit(bool(lost))
 
 
 def _first_names(names: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""The commands `slgaussian inspect` and `slgaussian store gc`."""
+"""The commands `slgaussian inspect` and `slgaussian store gc | status`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -123,6 +123,45 @@ def gc(
     typer.echo(f"stays: {garbage.kept} artifacts that are referred to{young}")
     if summary and not yes:
         typer.echo("nothing was removed: give --yes to do it")
+
+
+@store_app.command()
+@options.configured("store")
+def status(
+    ctx: typer.Context,
+    config: Annotated[Path, typer.Argument(help="TOML file of `run`, or of a corpus.")],
+    as_json: options.AsJson = False,
+) -> None:
+    """List the results that a configuration lacks in its store, and the time to compute them.
+
+    Computes nothing. Counts scenes by stage whose result is stored, missing, of an older version of
+    the stage, or failed in the last run; later stages wait. A file with `sources`, as that of
+    `retrain`, is looked up for lessons. The time is by the records of the store. The exit status is
+    1 if anything is missing.
+
+    \b
+    slgaussian store status kitchen.toml
+    slgaussian run kitchen.toml --only-missing
+    """
+    from flows.cli.run import prepare_prefect
+    from flows.config import CorpusSettings, RetrainSettings, Settings
+    from flows.read_config import read_toml, read_values
+    from slgaussian.storage.backlog import as_text, summarise
+    from slgaussian.storage.records import Records
+
+    values = read_values(config, {})
+    corpus = RetrainSettings if "models" in values else CorpusSettings
+    model: Any = corpus if "sources" in values else Settings
+    settings = read_toml(config, options.settings_from(ctx, model), model, "store status")
+    with _opened(settings.store) as opened:
+        prepare_prefect(settings.store)
+        from flows.runners.batches import FAILURES
+        from flows.status import look_up
+
+        failures, records = settings.out / FAILURES, Records(opened)
+        backlog = summarise(look_up(settings, opened), failures, records, settings.workers)
+    typer.echo(json.dumps(backlog, indent=1, ensure_ascii=False) if as_json else as_text(backlog))
+    raise typer.Exit(bool(backlog["gaps"]))
 
 
 @contextmanager

@@ -45,6 +45,9 @@ MIN_FAILURES = 20
 MAX_NAMED = 50
 """Largest number of scenes in the message of a state."""
 
+FAILURES = "failures.parquet"
+"""Table of the scenes that a run left out."""
+
 DEAD_WORKER_ERRORS = {
     "BrokenProcessPool",
     "KilledWorker",
@@ -179,12 +182,14 @@ def compute_scene(
     workers: int,
     notify: Notify,
     refresh: frozenset[str] = frozenset(),
+    look_up: bool = False,
 ) -> tuple[dict[str, ArtifactRef], Failure | None]:
     """Return the refs of all stages, or of those before the one that failed, and its failure.
 
     DamagedError if it needs a damaged artifact, StoreError if the store fails.
     """
-    run = RunContext(store, scene_task.scene, workers, notify, refresh, stage=scene_task.first)
+    name, first = scene_task.scene, scene_task.first
+    run = RunContext(store, name, workers, notify, refresh, look_up, stage=first)
     try:
         with run_context(run):
             scene_task.pipeline(*scene_task.arguments)
@@ -198,6 +203,21 @@ def compute_scene(
             trace = "".join(traceback.format_exception(error)).rstrip()
         notify(StageEvent(run.scene, run.stage, "failed", reason, traceback=trace))
         return run.refs, Failure(run.scene, run.stage, type(error).__name__, reason)
+
+
+def look_up_scenes(
+    scene_tasks: Iterable[SceneTask], store: ArtifactStore, refresh: frozenset[str] = frozenset()
+) -> list[SceneResult]:
+    """Return the stored results of scenes: a failure names the first stage without one.
+
+    Nothing is computed, and nothing sent to Prefect. DamagedError and StoreError as a scene.
+    """
+
+    def find(scene_task: SceneTask) -> SceneResult:
+        result = compute_scene(scene_task, store, 1, RunContext.notify, refresh, look_up=True)
+        return SceneResult(scene_task.scene, *result)
+
+    return store.map(find, list(scene_tasks))
 
 
 def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Progress) -> Outcome:
@@ -215,6 +235,12 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     damaged: DamagedError | None = None
     waiting = deque(scene_tasks)
     total = len(waiting)
+    if workers.only_missing:
+        stored = look_up_scenes(waiting, workers.store, workers.refresh)
+        outcome.refs = {result.scene: result.refs for result in stored if result.failure is None}
+        waiting = deque(t for t in waiting if t.scene not in outcome.refs)
+        progress.line(f"complete in the store: {len(outcome.refs)} of {total} {progress.unit}")
+        progress.scenes, progress.total = len(waiting), len(waiting) * progress.stages
     retried_singly: deque[SceneTask] = deque()
     lost_before: set[str] = set()
     news: queue.SimpleQueue[StageEvent | PrefectFuture[Any]] = queue.SimpleQueue()
@@ -326,8 +352,8 @@ def map_with_progress(
 
 
 def write_failures(out: Path, failures: Sequence[Failure]) -> None:
-    """Write failures to ``failures.parquet`` in a folder; OSError if that fails."""
+    """Write failures to :data:`FAILURES` in a folder; OSError if that fails."""
     spec = load_spec("failures")
     rows = [vars(f) for f in sorted(failures, key=lambda f: (f.scene, f.stage, f.reason))]
     table = pa.Table.from_pylist(rows, schema=spec.schema)
-    write_atomic(out / "failures.parquet", encode_table(table, spec))
+    write_atomic(out / FAILURES, encode_table(table, spec))

@@ -35,6 +35,7 @@ from flows.runners import logger
 from flows.runners.batches import Failure, TooManyFailuresError, state_after, write_failures
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import __version__
+from slgaussian.benchmark.mlflow_log import log_results
 from slgaussian.errors import InputError, SLGaussianError, did_you_mean
 from slgaussian.io import write_atomic
 from slgaussian.storage.provenance import Provenance, record_provenance
@@ -74,7 +75,11 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
     with record_provenance(Provenance(command)):
         while True:
             try:
-                return work(store)
+                result = work(store)
+                if message := log_results(command, config.out):
+                    logger.warning(message)
+                    print(f"warning: {message}", file=sys.stderr)
+                return result
             except DamagedError as error:
                 if error.uri in damaged:
                     raise InputError(

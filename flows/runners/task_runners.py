@@ -72,12 +72,14 @@ class Workers:
         count: Number of concurrent tasks.
         refresh: frozenset of str. Stages to recompute.
         max_failures: Number of scenes that may be left out, or share if below 1.
+        only_missing: Submit only scenes without a complete result in the store.
     """
 
     store: ArtifactStore
     count: int
     refresh: frozenset[str]
     max_failures: float
+    only_missing: bool
     runner: TaskRunner[Any]
     stack: ExitStack
 
@@ -106,6 +108,7 @@ def open_workers(
     store: ArtifactStore,
     refresh: frozenset[str] = frozenset(),
     max_failures: float = math.inf,
+    only_missing: bool = False,
 ) -> Iterator[Workers]:
     """Open the task runner of a name, within a Prefect flow.
 
@@ -119,7 +122,7 @@ def open_workers(
     with ExitStack() as stack:
         try:
             runner = stack.enter_context(_task_runner(name, count))
-            workers = Workers(store, count, refresh, max_failures, runner, stack)
+            workers = Workers(store, count, refresh, max_failures, only_missing, runner, stack)
             if "://" in name:
                 _check_workers(name, workers)
             yield workers

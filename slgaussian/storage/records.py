@@ -9,16 +9,25 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from slgaussian.errors import SpecError
+from slgaussian.errors import SLGaussianError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.storage.specs import spec_names
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, File, address, is_digest
 
 FOLDER = "keys"
 _FILE = re.compile(r"keys/(?P<stage>[^/]+)/v(?P<version>\d+)/[0-9a-f]{2}/[0-9a-f]{64}\.json")
+
+
+class NotStoredError(SLGaussianError):
+    """A result that is required is not in the store."""
+
+
+class OutdatedError(NotStoredError):
+    """Only an older version of the stage has stored a result for the same arguments."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +68,24 @@ class Records:
             return None
         return ref
 
+    def require(self, key: str) -> ArtifactRef:
+        """Return the artifact of a cache key as :meth:`find`; NotStoredError instead of None."""
+        if (ref := self.find(key)) is not None:
+            return ref
+        stage, version, digest = key.split("/")
+        for older in range(int(version[1:]) - 1, 0, -1):
+            with suppress(SpecError):
+                self._read(_place(f"{stage}/v{older}/{digest}"))
+                raise OutdatedError(f"of version {older} of the stage, which is now {version[1:]}")
+        raise NotStoredError("not in the store, or damaged")
+
     def keep(self, key: str, ref: ArtifactRef) -> None:
         """Write the record of a cache key; InputError if the store cannot be written."""
         record = {**asdict(ref), "stamp": self._stamps(ref)}
         self.store.write(_place(key), json.dumps(record, sort_keys=True).encode())
 
-    def all(self) -> Iterator[list[Record]]:
-        """Yield all records, one list for each folder."""
+    def all(self, folder: str = FOLDER) -> Iterator[list[Record]]:
+        """Yield all records below a folder, one list for each folder."""
 
         def record_of(file: File) -> Record:
             match = _FILE.fullmatch(file.uri)
@@ -76,7 +96,7 @@ class Records:
                 ref = None
             return Record(file, match["stage"], int(match["version"]), ref)
 
-        for files in self.store.walk([FOLDER]):
+        for files in self.store.walk([folder]):
             yield self.store.map(record_of, [f for f in files if _FILE.fullmatch(f.uri)])
 
     def _stamps(self, ref: ArtifactRef) -> list[str] | None:

@@ -18,8 +18,9 @@ from slgaussian.benchmark.reports.score_tables import (
     difference_tables,
     fold_protocols,
     method_tables,
+    scores_of,
 )
-from slgaussian.benchmark.scores import grouped, sample_key
+from slgaussian.benchmark.scores import differences, grouped, sample_key
 from slgaussian.errors import InputError
 from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
@@ -108,6 +109,65 @@ def compare_runs(runs: Sequence[Run]) -> model.Report:
         title = f"Differences: {'each run' if later[1:] else later[0][0]} minus {base}"
         sections.append(model.Section(title, fold_protocols(tables)))
     return model.Report("Comparison of runs", [model.Prose(SUMMARY)], sections)
+
+
+def list_differences(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return the scores of each later run minus the first on common samples, as plain data.
+
+    A row has the ``run``, ``method``, ``dataset``, ``protocol`` and ``metric``; the mean
+    ``difference`` over the ``scenes``, with its interval, ``low`` to ``high``, None for a single
+    place; and whether it ``decides``: it is of the first score of the first protocol of the data.
+    """
+    first, *later = runs
+    rows = []
+    for run in later:
+        for method, baseline, samples in _pair_methods(first, run):
+            ranking: dict[str, tuple[str, str]] = {}
+            for d in differences(samples, baseline):
+                first_score = d.protocol, scores_of(d.protocol)[0].metric
+                decides = ranking.setdefault(d.dataset, first_score) == (d.protocol, d.metric)
+                is_one_place = d.gain.independent_samples < 2
+                row: dict[str, Any] = {"run": str(run.folder), "method": method}
+                row |= {name: getattr(d, name) for name in ("dataset", "protocol", "metric")}
+                row |= {"decides": decides, "difference": d.gain.difference}
+                row |= {n: None if is_one_place else getattr(d.gain, n) for n in ("low", "high")}
+                rows.append({**row, "scenes": d.gain.samples, "samples": d.samples})
+    return rows
+
+
+def list_losses(runs: Sequence[Run], rows: Sequence[Row], most: float) -> list[str]:
+    """Describe what later runs lost: scenes of the first, or more than ``most`` of a score.
+
+    ``rows`` are the :func:`list_differences` of the runs; those that decide count.
+
+    Raises:
+        InputError: If none decides for a run, as it has no scored query in common with the first.
+    """
+    first, *later = runs
+    expected = {row["scene"] for row in first.rows}
+    lost = []
+    for run in later:
+        deciding = [row for row in rows if row["decides"] and row["run"] == str(run.folder)]
+        if not deciding:
+            raise InputError(
+                f"compare: {run.folder} has no scored query in common with {first.folder}, so "
+                "nothing is checked; give runs of the same scenes, queries and size"
+            )
+        if absent := sorted(expected - {row["scene"] for row in run.rows}):
+            names = ", ".join(absent[:MAX_LISTED])
+            lost.append(f"{run.folder}: lacks {len(absent)} of {len(expected)} scenes, as {names}")
+        for row in deciding:
+            if row["difference"] < -most:
+                loss = f"lost {-row['difference']:.4f} {row['metric']} on {row['dataset']}"
+                lost.append(f"{run.folder}: {row['method']} {loss} ({_describe(row)})")
+    return lost
+
+
+def _describe(row: Row) -> str:
+    scenes = model.count_text(row["scenes"], "scene")
+    if row["low"] is None:
+        return f"{scenes} of one place: no interval"
+    return f"interval of the difference {row['low']:+.4f} to {row['high']:+.4f}, {scenes}"
 
 
 def _runs_table(named: Mapping[str, Run]) -> model.Table:
