@@ -44,14 +44,14 @@ def write_shards(
     finished: Sequence[Finished],
     store: ArtifactStore,
     shard_bytes: int,
-    split: Split,
+    assigned: Split,
 ) -> tuple[int, int, int]:
     """Update the shards and the index of a set so that it has exactly these samples.
 
     An existing shard is reused if it is undamaged and all its samples are still in the set. All
     other samples are written to new shards of each split, sorted by name. The index is written
     after the shards, so that it is valid at any time; then unreferenced shards are removed. Before
-    that, the pictures in the shards are checked, and the split is written.
+    that, the pictures in the shards are checked, and ``assigned`` is written.
 
     Returns the number of shards of the set, the number of new ones, and the bytes of all.
 
@@ -81,7 +81,7 @@ def write_shards(
     table.sort(key=lambda row: (row["shard"], row["offset"]))
     index = pa.Table.from_pylist(table, schema=spec.schema)
     check_shards(out, index, {row["shard"] for row in table} - reused)
-    split.write(out)
+    assigned.write(out)
     write_atomic(out / INDEX, encode_table(index, spec))
     for shard in before.keys() - reused:
         (out / shard).unlink(missing_ok=True)

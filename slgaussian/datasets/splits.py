@@ -63,13 +63,12 @@ class Split:
             row["why"] for row in self.table.to_pylist() if row["clip"] in self.places
         )
         alone = reasons.pop("alone", 0)
-        joined = ", ".join(f"{count} by {why}" for why, count in sorted(reasons.items()))
-        text = (
-            f"places: {len(self.places)} clips ({self.new} new) of {len(set(self.places.values()))}"
-            f" places, {Counter(sides.values())[TEST]} of them held out; {alone} clips alone"
+        joined = "".join(f", joined {count} by {why}" for why, count in sorted(reasons.items()))
+        return (
+            f"places: {len(set(self.places.values()))}, held out {Counter(sides.values())[TEST]}; "
+            f"clips: {len(self.places)}, new {self.new}, alone {alone}{joined}, left out "
+            f"{len(self.left_out)}"
         )
-        text += f", joined {joined}" if joined else ""
-        return text + (f"; left out: {len(self.left_out)}" if self.left_out else "")
 
 
 def read_split(*folders: Path) -> list[dict[str, Any]]:
