@@ -198,6 +198,6 @@ def _earlier_split(table: pa.Table, incumbent: Version | None) -> list[dict[str,
     """Return rows of spec ``places`` for weights from before there was one: each clip its place."""
     if incumbent is None:
         return []
-    share = incumbent.facts["asked"]["held_out"]
+    share = incumbent.facts.get("asked", {}).get("held_out", 0)  # perhaps it has learnt all
     clips = table["clip"].unique().to_pylist()
     return [{"clip": c, "place": c, "split": SPLITS[held_out(c, share)]} for c in clips]

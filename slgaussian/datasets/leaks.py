@@ -18,18 +18,16 @@ import pyarrow as pa
 from slgaussian.copies import normalise, signature
 from slgaussian.datasets.near_copies import (
     SIGNATURE_SIDE,
-    find_aligned,
-    find_equal,
+    find_copies,
     stack_signatures,
 )
 from slgaussian.datasets.shards import unpack
 from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError
 
-SURE_CORRELATION = 0.98
-"""Correlation from which on a pair is refused, also if laid over each other. It is higher than that
-which joins clips (:mod:`slgaussian.datasets.near_copies`), so that all between is joined, and never
-refused."""
+SURE_CORRELATION = 0.985
+"""Correlation of near copies that are refused. It is higher than that which joins clips
+(:mod:`slgaussian.datasets.near_copies`), so that all between is joined, and never refused."""
 
 IMAGES = (".jpg", ".png")
 
@@ -64,10 +62,8 @@ def check_pictures(pictures: Sequence[Picture], source: str) -> None:
         np.unique([getattr(p, name) for p in pictures], return_inverse=True)[1]
         for name in ("clip", "side")
     )
-    for first, second in find_equal(signatures, sides, SURE_CORRELATION):
+    for first, second in find_copies(signatures, clips, sides, SURE_CORRELATION):
         _refuse(pictures[first], pictures[second], "are near copies", source)
-    for first, second in find_aligned(signatures, clips, sides, SURE_CORRELATION):
-        _refuse(pictures[first], pictures[second], "are near copies, one cropped", source)
 
 
 def _refuse(first: Picture, second: Picture, how: str, source: str) -> None:

@@ -2,7 +2,7 @@
 
 A signature (:func:`slgaussian.copies.signature`) has 16 x 16 grey values. Copies of another
 quality, size or tone have nearly the same one. That of a cropped copy is scaled and shifted, so the
-likeliest pairs are first laid over each other.
+likeliest pairs are laid over each other.
 """
 
 from __future__ import annotations
@@ -11,36 +11,32 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.fft import dctn
-from scipy.spatial import KDTree
 
 from slgaussian.copies import normalise
 
 SIGNATURE_SIDE = 16
 
-MIN_COPY_CORRELATION = 0.97
-"""Correlation from which on two photographs show one place. It is .97 or more for copies of another
-quality, size, brightness, contrast or gamma, and .90 at most between 66 places, of which 40 are
-procedural rooms (real ones: .86). 84 % of crops by 5 % have less."""
+MIN_CORRELATION = 0.97
+"""Correlation from which on two photographs show one place, after one signature, blurred, is laid
+over the other. Of 286 photographs no copy of another quality, size, brightness, contrast or gamma
+has less, and 1 % at most of crops by 2 to 10 % of the sides. Pairs of 66 places, 40 of them
+procedural rooms, have .956 at most (26 real ones: .936); there are 40,000."""
 
-MIN_ALIGNED_CORRELATION = 0.95
-"""The same after one signature is laid over the other. Of 286 photographs, cropped anywhere, 1 %
-are missed at 2 % of the sides, 9 % at 5 %, 11 % at 10 % and 23 % at 15 %; in a corner 7, 20, 21
-and 54 %. One frame of a clip suffices. Between 66 places it is .92 at most (real ones: .88) in
-80,000 pairs."""
+REPEATED_CORRELATION = 0.97
+"""Correlation, as they are, from which on a frame is not compared besides the one before it."""
 
 MAX_ZOOM, MAX_SHIFT = 0.14, 1.4
 """Largest change of scale, and largest shift in cells of a signature, of a cropped copy."""
 
 ROUNDS, MIN_ROUGH_CORRELATION = 8, 0.8
-"""Rounds of fitting, half of them of blurred signatures, and the correlation of these below which
-the rest is left out."""
+"""Rounds of fitting, and the correlation after half of them below which the rest is left out."""
 
-WAVES, NEAREST, MIN_COARSE_CORRELATION = 6, 8, 0.35
+WAVES, NEAREST, MIN_COARSE_CORRELATION = 6, 16, 0.35
 """Waves a side of the coarse signatures by which pairs are chosen; clips that are compared with a
 photograph; and their least coarse correlation: that of crops by 10 % is .35 or more."""
 
-BATCH = 1024
-"""Signatures, or pairs, that are compared at once."""
+BATCH, CELLS = 1024, 2**26
+"""Pairs that are laid over each other at once, and pairs of which the likeliest are chosen."""
 
 
 def stack_signatures(signatures: Sequence[bytes]) -> np.ndarray:
@@ -48,36 +44,11 @@ def stack_signatures(signatures: Sequence[bytes]) -> np.ndarray:
     return np.frombuffer(b"".join(signatures), np.uint8).reshape(-1, SIGNATURE_SIDE**2)
 
 
-def find_equal(
-    signatures: np.ndarray, groups: np.ndarray, least: float = MIN_COPY_CORRELATION
-) -> Iterator[tuple[int, int]]:
-    """Yield the pairs of signatures of different groups with a correlation of ``least`` or more.
-
-    Args:
-        signatures: uint8 [n, 256]
-        groups: int [n]
-    """
-    normal = normalise(signatures)
-    used = np.flatnonzero(normal.any(1))
-    if not len(used):
-        return
-    normal = normal[used]
-    # Means of blocks, an orthogonal projection, are nearer to each other than the whole.
-    blocks = normal.reshape(len(used), SIGNATURE_SIDE // 4, 4, SIGNATURE_SIDE // 4, 4)
-    tree = KDTree(blocks.sum((2, 4)).reshape(len(used), -1) / 4)
-    radius = (2 - 2 * least) ** 0.5 + 1e-6
-    for number, near in enumerate(tree.query_ball_point(tree.data, radius)):
-        others = [k for k in near if k > number and groups[used[k]] != groups[used[number]]]
-        for k, cosine in zip(others, normal[others] @ normal[number], strict=True):
-            if cosine >= least:
-                yield int(used[number]), int(used[k])
-
-
-def find_aligned(
+def find_copies(
     signatures: np.ndarray,
     clips: np.ndarray,
     groups: np.ndarray,
-    least: float = MIN_ALIGNED_CORRELATION,
+    least: float = MIN_CORRELATION,
 ) -> Iterator[tuple[int, int]]:
     """Yield pairs of signatures of different groups that agree once laid over each other.
 
@@ -106,7 +77,7 @@ def _distinct(normal: np.ndarray, clips: np.ndarray) -> np.ndarray:
     chosen: list[int] = []
     for index in range(len(clips)):
         is_first = not chosen or clips[chosen[-1]] != clips[index]
-        if is_first or normal[index] @ normal[chosen[-1]] < MIN_COPY_CORRELATION:
+        if is_first or normal[index] @ normal[chosen[-1]] < REPEATED_CORRELATION:
             chosen.append(index)
     return np.array(chosen, np.int64)
 
@@ -122,9 +93,10 @@ def _likeliest(
     starts = np.flatnonzero(np.r_[True, clips[1:] != clips[:-1]]) if len(order) else order
     ends = np.r_[starts[1:], len(order)]
     pairs = set()
-    for begin in range(0, len(order), BATCH):
-        likeness = coarse[begin : begin + BATCH] @ coarse.T
-        likeness[groups[begin : begin + BATCH, None] == groups] = -1
+    rows = max(1, CELLS // max(1, len(order)))
+    for begin in range(0, len(order), rows):
+        likeness = coarse[begin : begin + rows] @ coarse.T
+        likeness[groups[begin : begin + rows, None] == groups] = -1
         best = np.maximum.reduceat(likeness, starts, axis=1)
         nearest = np.argsort(-best, axis=1)[:, :NEAREST]
         for row, column in zip(*np.nonzero(nearest >= 0), strict=True):
@@ -145,7 +117,7 @@ def _coarse(signatures: np.ndarray) -> np.ndarray:
 
 
 def align(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Lay signatures over others by scale and shift, and return their correlations, float [n].
+    """Lay signatures over others by scale and shift, and return the best correlation, float [n].
 
     Scale and shift are fitted by least squares (Lucas and Kanade 1981), with a factor and an offset
     of the grey values. The correlation is that of the cells which both show.
@@ -157,23 +129,19 @@ def align(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     result = np.full(n, -1.0)
     left = np.arange(n)
     layout = np.zeros((n, 4), np.float32)  # scale - 1 of x and y, then shift in cells
-    blurred = _blur(first), _blur(second)
+    first, second = _blur(first), _blur(second)
     at = np.arange(SIGNATURE_SIDE, dtype=np.float32) - (SIGNATURE_SIDE - 1) / 2
     for remaining in range(ROUNDS, -1, -1):
-        fine = remaining <= ROUNDS // 2
-        a, b = (first, second) if fine else blurred
-        moved, mask = _warp(a[left], layout[left])
-        moved, wanted = _normal_inside(moved, mask), _normal_inside(b[left], mask)
+        moved, mask = _warp(first[left], layout[left])
+        moved, wanted = _normal_inside(moved, mask), _normal_inside(second[left], mask)
         agreement = (moved * wanted).sum((1, 2))
-        if fine:
-            result[left] = np.maximum(result[left], agreement)
-        if not remaining:
-            break
-        if remaining == ROUNDS // 2 + 1:
+        result[left] = np.maximum(result[left], agreement)
+        if remaining == ROUNDS // 2:
             likely = agreement >= MIN_ROUGH_CORRELATION
-            result[left] = np.where(likely, -1, agreement)
             left, moved, mask = left[likely], moved[likely], mask[likely]
             wanted = wanted[likely]
+        if not remaining or not len(left):
+            break
         slopes_y, slopes_x = (slope * mask for slope in np.gradient(moved, axis=(1, 2)))
         terms = slopes_x * at, slopes_y * at[:, None], slopes_x, slopes_y, moved, mask
         design = np.stack(terms, -1).reshape(-1, SIGNATURE_SIDE**2, len(terms))

@@ -24,8 +24,7 @@ from slgaussian.copies import normalise
 from slgaussian.datasets.near_copies import (
     SIGNATURE_SIDE,
     align,
-    find_aligned,
-    find_equal,
+    find_copies,
     stack_signatures,
 )
 from slgaussian.errors import InputError
@@ -41,9 +40,6 @@ REASONS = ("named", "video", "bytes", "near copy", "cameras", "recorded", "alone
 """Why a clip belongs to its place, in order of priority: by the user's name; by its video; by equal
 bytes, a near copy or equal cameras of a photograph of the other clip; as it was recorded, for a
 reason that is gone; or it has a place of its own."""
-
-REPEATED_CORRELATION = 0.998
-"""Correlation from which on a frame adds nothing to the frame before it in its clip."""
 
 MIN_EQUAL_CAMERAS, MAX_CLIPS_OF_CAMERA, MIN_ALIKE = 3, 16, 0.8
 """Two clips show one place if they have this many equal poses, and photographs there that are alike
@@ -99,7 +95,6 @@ class Places:
         self._name(NAMED, views[0]["place"] or "", clip)
         for video in {view["video"] for view in views}:
             self._name(VIDEO, video, clip)
-        last: np.ndarray | None = None
         data = [bytes.fromhex(view["signature"]) for view in views]
         normal = normalise(stack_signatures(data))
         for view, signature, values in zip(views, data, normal, strict=True):
@@ -107,12 +102,10 @@ class Places:
                 continue  # black frames are alike in all videos
             # The first 16 of 64 digits suffice: no collision is expected in ten million.
             self._share(int(view["digest"][:16], 16), clip, "bytes")
-            if last is None or values @ last < REPEATED_CORRELATION:
-                self._signatures.append(signature)
-                pose = tuple(round(view[name], 3) + 0.0 for name in POSE_COLUMNS)
-                self._poses.append(hash(pose))
-                self._of_signature.append(number)
-                last = values
+            self._signatures.append(signature)
+            pose = tuple(round(view[name], 3) + 0.0 for name in POSE_COLUMNS)
+            self._poses.append(hash(pose))
+            self._of_signature.append(number)
 
     def by_clip(self) -> dict[str, Membership]:
         """Return the place of every clip, and why it belongs there."""
@@ -149,18 +142,16 @@ class Places:
                 self._reasons[clip] = Membership("", why, other)
 
     def _join_copies(self) -> None:
-        """Join the clips of near copies, the surest first, as joined clips need no comparison."""
+        """Join the clips of near copies."""
         if not self._signatures:
             return
         clips = list(self._clips)
         of = np.array(self._of_signature)
         signatures = stack_signatures(self._signatures)
-        for first, second in find_equal(signatures, self._groups()[of]):
+        for first, second in find_copies(signatures, of, self._groups()[of]):
             self._join(clips[of[first]], clips[of[second]], "near copy")
         for first, second in self._equal_cameras(signatures):
             self._join(clips[first], clips[second], "cameras")
-        for first, second in find_aligned(signatures, of, self._groups()[of]):
-            self._join(clips[of[first]], clips[of[second]], "near copy")
 
     def _groups(self) -> np.ndarray:
         """Return a number for every clip, the same for clips that are joined, int [n]."""

@@ -57,7 +57,7 @@ class Version:
         """Digest of the held-out clips that judged it; empty if they were not split by place."""
         return str(self.facts.get("split", ""))
 
-    def judged_as(self, other: Version) -> bool:
+    def shares_split(self, other: Version) -> bool:
         """Return whether its scores are comparable: of the same held-out clips as another's."""
         return self.split == other.split != ""
 

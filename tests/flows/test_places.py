@@ -137,8 +137,8 @@ def test_a_set_that_leaks_is_refused_and_stays_as_it_was(
     before = files_below(out)
     from slgaussian.datasets import scene_grouping
 
-    for finder in ("find_equal", "find_aligned"):  # the plan is blind, the check is not
-        monkeypatch.setattr(scene_grouping, finder, lambda *arguments: ())
+    # The plan is blind, the check is not.
+    monkeypatch.setattr(scene_grouping, "find_copies", lambda *arguments: ())
     monkeypatch.setattr(scene_grouping, "MIN_EQUAL_CAMERAS", 99)
     error = refusal("dataset", out, corpus / "rooms", corpus / "copies", *words)
     assert "so the split leaks; nothing was written" in error and "PLACE=SOURCE" in error

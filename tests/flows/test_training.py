@@ -18,6 +18,7 @@ from command import files_below, run
 from flows.config import RetrainSettings
 from flows.read_config import read_toml
 from flows.training import FILES
+from slgaussian.datasets.splits import read_split
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
 from slgaussian.scene import Camera
@@ -77,12 +78,10 @@ def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
         shares = {"unlabelled_context": 0.0, "unlabelled_target": 0.0}
         rows.append({**row, "uri": ref.uri, "digest": ref.digest, **counts, **shares})
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
-    for out in (folder / "corpus", folder / "out"):
-        out.mkdir(exist_ok=True)
-        (out / "lessons.parquet").write_bytes(encode_table(table, load_spec("lessons")))
-        write_views(
-            out / "views.parquet", {drawn: noise(drawn) for drawn in table["clip"].to_pylist()}
-        )
+    out = folder / "corpus"
+    out.mkdir(exist_ok=True)
+    (out / "lessons.parquet").write_bytes(encode_table(table, load_spec("lessons")))
+    write_views(out / "views.parquet", {clip: noise(clip) for clip in table["clip"].to_pylist()})
     return table
 
 
@@ -112,7 +111,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
     status, _, errors = slg(*command(tmp_path, "out", *FEW))
     assert status == 0 and "branch  train  cached" not in errors
     files = files_below(tmp_path / "out")
-    assert files.keys() == set(FILES.values())
+    assert files.keys() == {*FILES.values(), "places.parquet"}
     assert load_branch(tmp_path / "out" / "branch.safetensors").architecture == Architecture()
     for name in ("metrics", "judgements"):
         stored = pq.read_table(tmp_path / "out" / f"{name}.parquet")
@@ -188,8 +187,11 @@ def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, refusal):
 
 
 def retrain_settings(folder: Path, **more):
-    values = {"sources": ["chunks"], "out": str(folder / "out"), "models": str(folder / "models")}
-    (folder / "out").mkdir(exist_ok=True)
+    values = {
+        "sources": ["chunks"],
+        "out": str(folder / "corpus"),
+        "models": str(folder / "models"),
+    }
     return read_toml(None, {**values, "held_out": 0.4, "steps": 4, **more}, RetrainSettings)
 
 
@@ -235,6 +237,11 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert versions.current() == outcome.version
     scores = outcome.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
+    sides = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
+    learn(lessons_of(tmp_path, range(24)), retrain_settings(tmp_path, held_out=0.9), store)
+    after = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
+    assert sides.items() <= after.items() and len(after) == 24
+    assert not outcome.version.shares_split(versions.all()[-1])
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
@@ -242,13 +249,16 @@ def test_versions_are_listed_and_put_to_use(tmp_path, slg, refusal):
     versions = Versions(tmp_path / "models")
     for _ in range(2):
         versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, False, "too few clips")
+    versions.add(bad_branch(), {"split": "0123456789abcdef"}, False, "no gain")
     models = ["versions", tmp_path / "models"]
     status, out, _ = slg(*models, "--use", "2")
     listed = out.splitlines()
-    assert status == 0 and listed[2].startswith("2 *  ") and "  held  too few clips" in listed[2]
+    assert status == 0 and listed[2].startswith("2 *  ")
+    assert "  held     another split  too few clips" in listed[2]
+    assert "  held  0123456789abcdef  no gain" in listed[3]
     assert listed[-1] == "* in use: version 2"
     for choice in ("7", "two"):
         error = refusal(*models, "--use", choice)
-        assert "expected one of the versions there (1, 2), or none" in error
+        assert "expected one of the versions there (1, 2, 3), or none" in error
     for choice, last in (("1", "* in use: version 1"), ("none", "none is in use")):
         assert slg(*models, "--use", choice)[1].splitlines()[-1] == last
