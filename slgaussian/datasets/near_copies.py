@@ -31,7 +31,7 @@ MAX_ZOOM, MAX_SHIFT = 0.14, 1.4
 ROUNDS, MIN_ROUGH_CORRELATION = 8, 0.8
 """Rounds of fitting, and the correlation after half of them below which the rest is left out."""
 
-WAVES, NEAREST, MIN_COARSE_CORRELATION = 6, 16, 0.35
+WAVES, NEAREST, MIN_COARSE_CORRELATION = 6, 8, 0.35
 """Waves a side of the coarse signatures by which pairs are chosen; clips that are compared with a
 photograph; and their least coarse correlation: that of crops by 10 % is .35 or more."""
 

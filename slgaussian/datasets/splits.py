@@ -64,10 +64,11 @@ class Split:
         )
         alone = reasons.pop("alone", 0)
         joined = "".join(f", joined {count} by {why}" for why, count in sorted(reasons.items()))
+        first = "".join(f", as {reason}" for reason in list(self.left_out.values())[:1])
         return (
             f"places: {len(set(self.places.values()))}, held out {Counter(sides.values())[TEST]}; "
             f"clips: {len(self.places)}, new {self.new}, alone {alone}{joined}, left out "
-            f"{len(self.left_out)}"
+            f"{len(self.left_out)}{first}"
         )
 
 

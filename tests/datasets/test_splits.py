@@ -52,6 +52,7 @@ def test_places_that_prove_to_be_one_are_left_out_on_one_side(tmp_path, winner):
     assert split.left_out.keys() == {gone} and gone not in split.sides
     assert f"shows one place with {stays!r}, which was assigned to {winner}" in split.left_out[gone]
     assert split.sides[stays] == split.sides["both"] == winner
+    assert f"left out 1, as {split.left_out[gone]}" in split.summary
     split.write(tmp_path)
 
     # The clip that told it is gone: what is known stays known.
