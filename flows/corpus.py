@@ -166,6 +166,9 @@ def _write_table(file: Path, stage: str, store: ArtifactStore, clips: Clips) -> 
             owned = [clips.owners.get(clip) == source for clip in table["clip"].to_pylist()]
             sources = pa.array([source] * len(owned), pa.string())
             table = table.set_column(table.column_names.index("chunk"), "chunk", sources)
+            if "place" in table.column_names:
+                named = pa.array([clips.sources[source].place or None] * len(owned), pa.string())
+                table = table.set_column(table.column_names.index("place"), "place", named)
             table = table.filter(pa.array(owned, pa.bool_()))
             count += table.num_rows
             writer.write_table(table)

@@ -7,7 +7,7 @@ is the unit of work, of caching and of failure. Then the samples are written to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,11 +24,10 @@ from flows.runners.task_runners import open_workers
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
 from slgaussian.datasets.configs import Bounds
-from slgaussian.datasets.scene_grouping import Places
-from slgaussian.datasets.training_set import SPLITS
+from slgaussian.datasets.scene_grouping import VIEW_COLUMNS, Places
+from slgaussian.datasets.splits import TEST, assign_split, read_split
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
-from slgaussian.kernels.seeding import hold_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk, packed, pairs, views
 from tasks.example import example
@@ -41,7 +40,7 @@ SAMPLES = (framed, geometry, all_masks, supervision, example)
 
 @dataclass(frozen=True)
 class TrainingSetResult:
-    """Result of a run: the size of the set, and refused samples."""
+    """Result of a run: the size of the set, refused samples, and how it was split, as text."""
 
     samples: int
     places: int
@@ -49,6 +48,7 @@ class TrainingSetResult:
     new_shards: int
     bytes: int
     failures: list[Failure]
+    split: str
 
 
 @flow(name="slgaussian-dataset", flow_run_name="dataset {config.out.name}", persist_result=False)
@@ -59,8 +59,8 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
     are unchanged stay the same, byte for byte. Refused samples are in ``failures.parquet``.
 
     Raises:
-        InputError: If a source is missing, a component is unknown, no sample is left, or the store
-            or the folder cannot be written.
+        InputError: If a source is missing, a component is unknown, no sample is left, the split
+            leaks, or the store or the folder cannot be written.
     """
     result = run_session("dataset", config, lambda store: _make(config, store, verbose))
     return final_state(f"{result.samples} samples in {config.out}", result, result.failures)
@@ -83,9 +83,18 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
         places = Places()
         tasks = _sample_tasks(config, clips, store, places)
         outcome = map_with_progress(tasks, workers, len(SAMPLES), "samples", verbose)
-    failures = clips.failures + outcome.failures
+    results = [outcome.refs[name][example.name] for name in sorted(outcome.refs)]
+    owned = {ref.meta["about"]["clip"] for ref in results}
+    # What was held out stays so: a network of an earlier set may have learnt the rest.
+    split = assign_split(places, owned, config.held_out, read_split(config.out), winner=TEST)
+    finished = [
+        Finished(ref, split.places[clip], split.sides[clip])
+        for ref in results
+        if (clip := ref.meta["about"]["clip"]) in split.sides
+    ]
+    leaking = [Failure(c, "split", "InputError", why) for c, why in split.left_out.items()]
+    failures = clips.failures + outcome.failures + leaking
     write_failures(config.out, failures)
-    finished = _finish([outcome.refs[name] for name in sorted(outcome.refs)], places, config)
     if not finished:
         raise InputError(
             f"{config.out}: no sample is left of the sources; the reasons are in "
@@ -93,11 +102,11 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
         )
     versions = {stage.name: stage.version for stage in stages}
     with writing(config.out):
-        written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
+        written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6), split)
         masked = sum("opaque" in item.ref.meta for item in finished)
         write_card(config.out, config, len(failures), versions, masked)
     places_left = {item.place for item in finished}
-    return TrainingSetResult(len(finished), len(places_left), *written, failures)
+    return TrainingSetResult(len(finished), len(places_left), *written, failures, split.summary)
 
 
 def make_example(
@@ -131,32 +140,14 @@ def _sample_tasks(
         else:
             chunk = refs[packed.name]
             cameras = chunk.meta["cameras"]
-        frames_of: dict[str, list[dict[str, str]]] = {}
-        table = store.get(refs[views.name]).select(["clip", "digest", "signature"])
-        for row in table.to_pylist():
-            if clips.owners.get(row["clip"]) == name:
-                frames_of.setdefault(row["clip"], []).append(row)
-        for clip, rows in frames_of.items():
-            digests, signatures = ([row[key] for row in rows] for key in ("digest", "signature"))
-            places.add(clip, digests, source.place, signatures)
+        table = store.get(refs[views.name]).select(VIEW_COLUMNS).to_pylist()
+        owned = [row for row in table if clips.owners.get(row["clip"]) == name]
+        places.add_views({**row, "place": source.place} for row in owned)
         for row in store.get(refs[pairs.name]).drop_columns("chunk").to_pylist():
-            if row["clip"] in frames_of:
+            if clips.owners.get(row["clip"]) == name:
                 frames = {key: row[key] for key in ("sample", "clip", "context", "targets")}
                 method = config.built_by, config.trust_cameras
                 measured = {**row, "cameras": cameras}
                 arguments = chunk, frames, framing, *method, measured, config.images
                 tasks.append(SceneTask(row["sample"], make_example, arguments, framed.name))
     return tasks
-
-
-def _finish(
-    results: Sequence[Mapping[str, ArtifactRef]], places: Places, config: DatasetSettings
-) -> list[Finished]:
-    """Assign the samples to places and splits."""
-    refs = [stage_refs[example.name] for stage_refs in results]
-    for ref in refs:
-        places.seen_in(ref.meta["about"]["clip"], ref.meta["about"]["url"])
-    by_clip = places.by_clip()
-    placed = [(ref, by_clip[ref.meta["about"]["clip"]]) for ref in refs]
-    tested = hold_out({place for _, place in placed}, config.held_out)
-    return [Finished(ref, place, SPLITS[place in tested]) for ref, place in placed]

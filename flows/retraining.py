@@ -19,13 +19,15 @@ from prefect.states import State
 from flows import corpus
 from flows.config import RetrainSettings, Training
 from flows.runners.session import check_folder, final, publish, run_session, writing
-from flows.training import FILES, parted, read_lessons, read_places, train_on
+from flows.training import FILES, part_lessons, read_lessons, train_on
 from slgaussian.benchmark.reports.model import append_section, data_uri
 from slgaussian.benchmark.reports.retrainings import history_plot, history_section
 from slgaussian.benchmark.retrainings import History, count_lessons, score_columns, summaries
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
-from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.datasets.splits import SPLITS, Split, read_split
+from slgaussian.errors import SLGaussianError
 from slgaussian.io import write_atomic
+from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.versions import Version, Versions, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
@@ -79,12 +81,14 @@ class Learnt:
     Attributes:
         message: Summary in a sentence.
         version: The added version; None if nothing was new.
+        split: Sides of the clips.
         regressed: A message if the version in use before is worse than no network on the held-out
             lessons; else empty.
     """
 
     message: str
     version: Version | None
+    split: Split
     regressed: str = ""
 
 
@@ -116,9 +120,8 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
     try:
         failures = corpus.supervise(config, store, verbose).failures
         lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
-        places = read_places(config.out / corpus.FILES["views"])
-        row |= count_lessons(lessons, places)
-        learnt = learn(lessons, config, store, verbose, places)
+        learnt = learn(lessons, config, store, verbose)
+        row |= count_lessons(lessons, learnt.split.places) | {"split": learnt.split.digest}
         version, used = learnt.version, Versions(config.models).current()
         outcome, messages = "nothing new", [learnt.message]
         if version is not None:
@@ -127,6 +130,7 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
             row |= score_columns(read_table(config.out / FILES["judgements"]))
             pairs = config.out / corpus.FILES["pairs"]
             row |= history.compare_lessons(lessons, pairs, version.number)
+        messages.append(learnt.split.summary)
         if learnt.regressed:
             outcome = "regressed"
             end = f"`slgaussian versions {config.models} --use none` ends it"
@@ -168,34 +172,33 @@ def _report(
 
 
 def learn(
-    table: pa.Table,
-    settings: RetrainSettings,
-    store: ArtifactStore,
-    verbose: bool = False,
-    places: Mapping[str, str] | None = None,
+    table: pa.Table, settings: RetrainSettings, store: ArtifactStore, verbose: bool = False
 ) -> Learnt:
     """Train on lessons from the weights in use, and promote the result if it is better.
 
     The candidate, the version in use, ``hard`` and ``filled`` are evaluated on the same held-out
     lessons. The candidate is promoted if it is significantly better than all others
     (:func:`slgaussian.benchmark.significance.gate`), and stored in any case. If lessons and
-    settings are unchanged, nothing is trained.
+    settings are unchanged, nothing is trained. The sides of clips are in the folder of versions.
 
     Raises:
-        InputError: As in :func:`flows.training.parted` and :func:`flows.training.train_on`; if the
-            weights in use had another fraction of held-out clips; or if a folder cannot be written.
+        InputError: As in :func:`flows.training.part_lessons` and :func:`flows.training.train_on`;
+            or if a folder cannot be written.
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
-    lessons = parted(table, settings.held_out, places)
+    recorded = read_split(settings.models) or _earlier_split(table, incumbent)
+    views = settings.out / corpus.FILES["views"]
+    lessons = part_lessons(table, views, settings.held_out, recorded, settings.models)
+    split = lessons.split
     requested = settings.model_dump(mode="json", include=set(TRAINING_SETTINGS))
-    requested["lessons"] = {name: table_digest(side) for name, side in vars(lessons).items()}
+    requested["lessons"] = {name: table_digest(side) for name, side in lessons.tables().items()}
     used = version_name(0 if incumbent is None else incumbent.number)
     if history and requested == history[-1].facts.get("asked"):
-        return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
+        message = f"nothing new since version {history[-1].number}; {used} is in use"
+        return Learnt(message, None, split)
     start, rivals = None, NO_NETWORK
     if incumbent is not None:
-        _check_share(settings, incumbent)
         start, rivals = versions.weights(incumbent), {"before": used, **NO_NETWORK}
     trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
     trained.write(settings.out)
@@ -204,20 +207,19 @@ def learn(
     means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
     facts = {"asked": requested, "counts": lessons.counts(), "scores": scores}
+    facts["split"] = split.digest
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     if added.promoted:
-        return Learnt(f"version {added.number} promoted: {added.why}", added)
+        return Learnt(f"version {added.number} promoted: {added.why}", added, split)
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
     message = f"version {added.number} stored, not promoted: {added.why}"
-    return Learnt(message, added, regressed)
+    return Learnt(message, added, split, regressed)
 
 
-def _check_share(settings: RetrainSettings, incumbent: Version) -> None:
-    """Raise InputError if the incumbent would be evaluated on its own training clips."""
-    before = incumbent.facts.get("asked", {}).get("held_out")
-    if before is not None and before != settings.held_out:
-        raise InputError(
-            f"held_out: found {settings.held_out:g}, but version {incumbent.number} in "
-            f"{settings.models} was trained with {before:g}, perhaps on clips that are held out "
-            f"now; keep {before:g}, or begin in another folder of versions"
-        )
+def _earlier_split(table: pa.Table, incumbent: Version | None) -> list[dict[str, str]]:
+    """Return rows of spec ``places`` for weights from before there was one: each clip its place."""
+    if incumbent is None:
+        return []
+    share = incumbent.facts.get("asked", {}).get("held_out", 0)  # perhaps it has learnt all
+    clips = table["clip"].unique().to_pylist()
+    return [{"clip": c, "place": c, "split": SPLITS[held_out(c, share)]} for c in clips]

@@ -11,7 +11,9 @@ from typing import Any
 
 import pyarrow as pa
 
+from slgaussian.datasets.leaks import check_shards
 from slgaussian.datasets.shards import END_OF_ARCHIVE
+from slgaussian.datasets.splits import Split
 from slgaussian.datasets.training_set import INDEX, REPAIR
 from slgaussian.errors import SpecError
 from slgaussian.io import atomic_path, write_atomic
@@ -38,18 +40,24 @@ class Finished:
 
 
 def write_shards(
-    out: Path, finished: Sequence[Finished], store: ArtifactStore, shard_bytes: int
+    out: Path,
+    finished: Sequence[Finished],
+    store: ArtifactStore,
+    shard_bytes: int,
+    assigned: Split,
 ) -> tuple[int, int, int]:
     """Update the shards and the index of a set so that it has exactly these samples.
 
     An existing shard is reused if it is undamaged and all its samples are still in the set. All
     other samples are written to new shards of each split, sorted by name. The index is written
-    after the shards, so that it is valid at any time; then unreferenced shards are removed.
+    after the shards, so that it is valid at any time; then unreferenced shards are removed. Before
+    that, the pictures in the shards are checked, and ``assigned`` is written.
 
     Returns the number of shards of the set, the number of new ones, and the bytes of all.
 
     Raises:
         DamagedError: If an artifact is damaged.
+        InputError: If the split leaks.
         OSError: If a file cannot be written.
     """
     by_name = {item.name: item for item in finished}
@@ -71,8 +79,10 @@ def write_shards(
         values |= positions[item.name]
         table.append({name: values[name] for name in spec.schema.names})
     table.sort(key=lambda row: (row["shard"], row["offset"]))
-    data = encode_table(pa.Table.from_pylist(table, schema=spec.schema), spec)
-    write_atomic(out / INDEX, data)
+    index = pa.Table.from_pylist(table, schema=spec.schema)
+    check_shards(out, index, {row["shard"] for row in table} - reused)
+    assigned.write(out)
+    write_atomic(out / INDEX, encode_table(index, spec))
     for shard in before.keys() - reused:
         (out / shard).unlink(missing_ok=True)
     shards = {row["shard"] for row in table}

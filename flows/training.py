@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,11 @@ from flows.runners.batches import SceneTask, compute_scene
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, final_state, run_session, writing
 from slgaussian import __version__
-from slgaussian.datasets.scene_grouping import Places
+from slgaussian.datasets.leaks import check_views
+from slgaussian.datasets.scene_grouping import Places, read_views
+from slgaussian.datasets.splits import TEST, TRAIN, Split, assign_split, read_split
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
-from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.branch import Architecture, load_branch, save_branch
 from slgaussian.semantic.configs import TrainingConfig
 from slgaussian.semantic.training import TrainingSettings, find_device
@@ -50,16 +50,21 @@ CHECKPOINT_STEPS = 20
 
 @dataclass(frozen=True, eq=False)
 class Parted:
-    """Tables of training lessons and of held-out lessons, spec ``lessons``."""
+    """Tables of training lessons and of held-out lessons, spec ``lessons``, and their split."""
 
     learnt: pa.Table
     held_out: pa.Table
+    split: Split
+
+    def tables(self) -> dict[str, pa.Table]:
+        """Return both tables by name."""
+        return {"learnt": self.learnt, "held_out": self.held_out}
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of lessons and clips of both."""
         return {
             f"{name} {kind}": count
-            for name, table in vars(self).items()
+            for name, table in self.tables().items()
             for kind, count in (
                 ("lessons", table.num_rows),
                 ("clips", len(set(table["clip"].to_pylist()))),
@@ -69,12 +74,13 @@ class Parted:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """Result of a training: weights as a safetensors file, metrics, scores and report."""
+    """Result of a training: weights as a safetensors file, tables, report; the split as text."""
 
     weights: bytes
     metrics: pa.Table
     judgements: pa.Table
     report: bytes
+    split: str
 
     def write(self, out: Path) -> None:
         """Write the :data:`FILES`; InputError if that fails."""
@@ -103,12 +109,18 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
 
 def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Trained:
     table = read_lessons(config.lessons / "lessons.parquet", store)
-    lessons = parted(table, config.held_out, read_places(config.lessons / "views.parquet"))
     start = None if config.start is None else find_weights(config.start)
     store.check_writable()
     check_folder(config.out)
+    folders, views = [config.lessons], config.lessons / "views.parquet"
+    if config.start is not None:  # what these weights have learnt
+        folders.append(config.start if config.start.is_dir() else config.start.parent)
+    recorded = read_split(*folders)
+    lessons = part_lessons(table, views, config.held_out, recorded, config.lessons)
     trained = train_on(lessons, config, config.codes, config.seed, start, store, verbose)
     trained.write(config.out)
+    with writing(config.out):
+        lessons.split.write(config.out)  # for trainings that start from these weights
     return trained
 
 
@@ -133,47 +145,50 @@ def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
     return table
 
 
-def read_places(file: Path) -> dict[str, str]:
-    """Read the places of the clips in a table of spec ``views``, of those of near copies one.
+def part_lessons(
+    lessons: pa.Table,
+    views: Path,
+    fraction: float,
+    recorded: Sequence[Mapping[str, Any]],
+    folder: Path,
+) -> Parted:
+    """Split lessons by the places of their clips; write ``places.parquet`` to a folder.
 
-    There are none if the file is missing.
-    """
-    if not file.is_file():
-        return {}
-    table = decode_table(
-        file.read_bytes(), load_spec("views"), str(file), "run `slgaussian supervise` again"
-    )
-    places = Places()
-    for clip, rows in groupby(
-        table.select(["clip", "digest", "signature"]).to_pylist(), key=lambda row: row["clip"]
-    ):
-        frames = list(rows)
-        digests, signatures = ([row[key] for row in frames] for key in ("digest", "signature"))
-        places.add(clip, digests, signatures=signatures)
-    return places.by_clip()
+    What was learnt before never judges (:func:`slgaussian.datasets.splits.assign_split`). The order
+    of the lessons does not depend on the chunks.
 
-
-def parted(lessons: pa.Table, share: float, places: Mapping[str, str] | None = None) -> Parted:
-    """Split lessons into those of training clips and of :func:`held-out <held_out>` clips.
-
-    Clips of one place are on one side. Their order does not depend on the chunks.
+    Args:
+        lessons: Spec ``lessons``.
+        views: Table of spec ``views`` of the clips.
+        fraction: Expected fraction of held-out places.
+        recorded: Rows of spec ``places`` from before.
+        folder: It is made if it is missing.
 
     Raises:
-        InputError: If one of them is empty.
+        InputError: If a side is empty, the views are missing, the split leaks, or the folder cannot
+            be written.
     """
-    schema = load_spec("lessons").schema
-    sides: tuple[list[dict[str, Any]], ...] = [], []
+    places = Places()
+    places.add_views(read_views(views))
+    split = assign_split(places, set(lessons["clip"].to_pylist()), fraction, recorded, TRAIN)
+    rows: dict[str, list[dict[str, Any]]] = {TRAIN: [], TEST: []}
     for row in lessons.sort_by("sample").to_pylist():
-        place = (places or {}).get(row["clip"], row["clip"])
-        sides[held_out(place, share)].append({**row, "chunk": None})
-    result = Parted(*(pa.Table.from_pylist(side, schema=schema) for side in sides))
+        if row["clip"] in split.sides:
+            rows[split.sides[row["clip"]]].append({**row, "chunk": None})
+    schema = load_spec("lessons").schema
+    learnt, held_out = (pa.Table.from_pylist(side, schema=schema) for side in rows.values())
+    result = Parted(learnt, held_out, split)
     counts = result.counts()
     if not all(counts.values()):
         raise InputError(
-            f"held_out {share:g}: found {counts['learnt clips']} training clips and "
+            f"held_out {fraction:g}: found {counts['learnt clips']} training clips and "
             f"{counts['held_out clips']} held-out clips with lessons, expected at least one of "
-            "each; give more clips, or another fraction"
+            f"each; give clips of more places. {split.summary}"
         )
+    check_views(read_views(views), split.sides, views)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        split.write(folder)
     return result
 
 
@@ -211,7 +226,7 @@ def train_on(
         "settings": settings.model_dump(),
         "versions": {"slgaussian": __version__, "torch": version("torch")},
     }
-    tables = [store.put("lessons", table) for table in vars(lessons).values()]
+    tables = [store.put("lessons", table) for table in lessons.tables().values()]
     task = SceneTask("branch", learn_and_judge, (*tables, began, settings, manifest))
     with Progress(1, len(STAGES), verbose=verbose) as progress:
         artifacts, failure = compute_scene(task, store, 1, progress.update)
@@ -229,6 +244,7 @@ def train_on(
         metrics,
         judgements,
         store.get(artifacts["training_report"])["html"].tobytes(),
+        lessons.split.summary,
     )
 
 

@@ -22,9 +22,9 @@ from slgaussian.build import check_cameras
 from slgaussian.copies import signature
 from slgaussian.datasets import re10k
 from slgaussian.datasets.configs import Bounds
+from slgaussian.datasets.near_copies import SIGNATURE_SIDE
 from slgaussian.datasets.pair_selection import TARGETS, Views, choose
 from slgaussian.datasets.recognise import posed_scene, recognise
-from slgaussian.datasets.scene_grouping import SIGNATURE_SIDE
 from slgaussian.datasets.shards import key_of
 from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError, SpecError
@@ -226,7 +226,7 @@ CAMERA_COLUMNS = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for 
 """Columns of a camera in the table: a row of a chunk without its two zeros."""
 
 
-@stage("views", version=3)
+@stage("views", version=4)
 def views(run: RunContext, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
     """Compute the properties of all views of a chunk: spec ``views``.
 
@@ -267,6 +267,7 @@ def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[InputError]]:
         rows.append(
             {
                 "clip": clip.key,
+                "video": clip.url,
                 "frame": frame,
                 "timestamp": int(clip.timestamps[frame]),
                 "digest": hashlib.sha256(data).hexdigest(),

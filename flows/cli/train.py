@@ -38,7 +38,8 @@ def train(
         --set branch.weights=trained/branch.safetensors -o field/
     """
     settings = checked(TrainSettings, options.settings_from(ctx, TrainSettings), "train")
-    judgements = run_flow("train", settings, verbose).judgements
+    trained = run_flow("train", settings, verbose)
+    judgements = trained.judgements
     import numpy as np
 
     from flows.training import FILES
@@ -51,6 +52,7 @@ def train(
     for rival in scores:
         if rival in ("hard", "filled", "before"):
             typer.echo(gate(judgements, {rival: rival}).why)
+    typer.echo(f"{trained.split}  {lessons / 'places.parquet'}")
     typer.echo(f"weights  {out / FILES['weights']}")
     typer.echo(f"report   {out / FILES['report']}")
 
@@ -114,13 +116,14 @@ def versions(
     if not by_number:
         typer.echo(f"{models}: no version")
         return
-    current = folder.current()
-    rows = [["version", "from", "made", "weights", "gate", ""]]
+    current, latest = folder.current(), max(by_number.values(), key=lambda v: v.number)
+    rows = [["version", "from", "made", "weights", "gate", "judged on", ""]]
     for version in by_number.values():
         mark, gate = " *" * (version == current), "passed" if version.promoted else "held"
-        facts = [str(version.parent or "-"), version.made, version.digest[:12], gate, version.why]
-        rows.append([f"{version.number}{mark}", *facts])
-    typer.echo(table_text(rows, "<>>>><"))
+        judged = version.split if version.shares_split(latest) else "another split"
+        facts = [str(version.parent or "-"), version.made, version.digest[:12], gate, judged]
+        rows.append([f"{version.number}{mark}", *facts, version.why])
+    typer.echo(table_text(rows, "<>>>>><"))
     typer.echo("none is in use" if current is None else f"* in use: version {current.number}")
     if recent := summaries(read_history(models)):
         table = table_text([list(recent[0]), *(list(row.values()) for row in recent)], "<<")

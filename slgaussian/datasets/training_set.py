@@ -28,6 +28,7 @@ from torch.utils.data._utils.collate import default_collate_fn_map
 
 from slgaussian.datasets.photographs import rgb
 from slgaussian.datasets.shards import unpack
+from slgaussian.datasets.splits import SPLITS
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened
@@ -36,7 +37,6 @@ from slgaussian.storage.remote import explain_error, file_system_errors, open_fi
 from slgaussian.storage.specs import load_spec
 
 INDEX = "index.parquet"
-SPLITS = ("train", "test")
 IMAGE_SUFFIXES = ("jpg", "png")
 SPECS = {"geometry": "example_geometry", "labels": "labels", "bank": "bank"}
 """The spec of each ``.npz`` member of a sample."""

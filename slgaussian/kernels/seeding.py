@@ -1,7 +1,6 @@
 """Seeds derived from content, so that results do not depend on time, machine or names."""
 
 import hashlib
-from collections.abc import Collection
 
 import numpy as np
 
@@ -33,28 +32,15 @@ def content_of(*arrays: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def held_out(clip: str, fraction: float) -> bool:
-    """Return whether a clip belongs to the held-out clips, which are never trained on.
+def held_out(place: str, fraction: float) -> bool:
+    """Return whether a new place is held out, by its name.
 
-    The split depends only on the clip's key: it does not change when clips are added, all samples
-    of a clip are in one part, and a larger fraction includes the clips of a smaller one. It does
-    not depend on content, which differs between samples of a clip, nor on the seed of a run, as
-    weights from one run would then be evaluated in another run on their own training clips.
+    A larger fraction includes the places of a smaller one. It does not depend on content, which
+    differs between samples of a place, nor on the seed of a run, as weights from one run would then
+    be evaluated in another run on their own training places.
 
     Args:
-        clip: Key of the clip.
-        fraction: Expected fraction of held-out clips, in [0, 1].
+        place: Name of the place.
+        fraction: Expected fraction of held-out places, in [0, 1].
     """
-    return seed_for(0, clip, "held out") < fraction * 2**64
-
-
-def hold_out(clips: Collection[str], fraction: float) -> set[str]:
-    """Return the :func:`held_out` clips among several.
-
-    If there is none, ``fraction`` is not 0 and there are at least two clips, return the clip that
-    the smallest larger fraction would hold out.
-    """
-    chosen = {clip for clip in clips if held_out(clip, fraction)}
-    if chosen or not fraction or len(clips) < 2:
-        return chosen
-    return {min(clips, key=lambda clip: seed_for(0, clip, "held out"))}
+    return seed_for(0, place, "held out") < fraction * 2**64

@@ -52,6 +52,15 @@ class Version:
     why: str
     facts: dict[str, Any]
 
+    @property
+    def split(self) -> str:
+        """Digest of the held-out clips that judged it; empty if they were not split by place."""
+        return str(self.facts.get("split", ""))
+
+    def shares_split(self, other: Version) -> bool:
+        """Return whether its scores are comparable: of the same held-out clips as another's."""
+        return self.split == other.split != ""
+
 
 class Versions:
     """The versions in a folder, which is created by the first addition."""

@@ -125,15 +125,17 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert "refused" in slg("versions", tmp_path / "models")[1].partition("last retrainings")[2]
     added = versions.all()[-1]
     assert (added.number, added.parent) == (2, 1)
+    assert record(tmp_path)["split"] == added.split != ""
     for table in ("views", "pairs", "lessons"):
         assert named(tmp_path, table) == {second.key, judged.key}
 
     # What cannot be done is a failure with an artifact, and the next one is as good.
-    config.write_text(CONFIG.replace("held_out = 0.4", "held_out = 0.01"))
-    assert "held_out 0.01: found" in retrain("failed")
-    assert record(tmp_path)["reason"].startswith("held_out 0.01: found")
-    assert artifact().startswith("# Retraining: failed\n\nheld_out 0.01")
-    config.write_text(CONFIG)
+    (chunk,) = (tmp_path / "chunks").glob(f"{judged.key.replace(' ', '_')}.torch")
+    chunk.rename(tmp_path / "judged")
+    assert "held_out 0.4: found 1 training clips and 0 held-out" in retrain("failed")
+    assert record(tmp_path)["reason"].startswith("held_out 0.4: found")
+    assert artifact().startswith("# Retraining: failed\n\nheld_out 0.4")
+    (tmp_path / "judged").rename(chunk)
     assert "nothing new since version 2; version 1 is in use" in retrain("nothing new")
     (tmp_path / "models" / "history.parquet").write_bytes(b"no table")
     assert "history.parquet: " in retrain("failed")

@@ -18,7 +18,7 @@ from command import files_below, run
 from flows.config import RetrainSettings
 from flows.read_config import read_toml
 from flows.training import FILES
-from slgaussian.errors import InputError
+from slgaussian.datasets.splits import read_split
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
 from slgaussian.scene import Camera
@@ -78,9 +78,27 @@ def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
         shares = {"unlabelled_context": 0.0, "unlabelled_target": 0.0}
         rows.append({**row, "uri": ref.uri, "digest": ref.digest, **counts, **shares})
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
-    (folder / "corpus").mkdir(exist_ok=True)
-    (folder / "corpus" / "lessons.parquet").write_bytes(encode_table(table, load_spec("lessons")))
+    out = folder / "corpus"
+    out.mkdir(exist_ok=True)
+    (out / "lessons.parquet").write_bytes(encode_table(table, load_spec("lessons")))
+    write_views(out / "views.parquet", {clip: noise(clip) for clip in table["clip"].to_pylist()})
     return table
+
+
+def noise(name: str) -> np.ndarray:
+    return np.random.default_rng(sum(name.encode())).integers(40, 200, 256).astype(np.uint8)
+
+
+def write_views(file: Path, greys: dict[str, np.ndarray]) -> None:
+    """Write a table of spec ``views`` with one photograph of every clip, by its signature."""
+    schema, rows = load_spec("views").schema, []
+    for number, (clip, grey) in enumerate(greys.items()):
+        values = {f.name: 0 if pa.types.is_integer(f.type) else 0.5 for f in schema}
+        values |= {"chunk": None, "clip": clip, "place": None, "video": "", "width": 8, "height": 8}
+        values |= {"digest": f"{number:016x}" * 4, "signature": grey.tobytes().hex()}
+        rows.append(values)
+    table = pa.Table.from_pylist(rows, schema=schema)
+    file.write_bytes(encode_table(table, load_spec("views")))
 
 
 def command(folder: Path, out: str = "out", *more: str) -> list[str]:
@@ -93,7 +111,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
     status, _, errors = slg(*command(tmp_path, "out", *FEW))
     assert status == 0 and "branch  train  cached" not in errors
     files = files_below(tmp_path / "out")
-    assert files.keys() == set(FILES.values())
+    assert files.keys() == {*FILES.values(), "places.parquet"}
     assert load_branch(tmp_path / "out" / "branch.safetensors").architecture == Architecture()
     for name in ("metrics", "judgements"):
         stored = pq.read_table(tmp_path / "out" / f"{name}.parquet")
@@ -163,15 +181,17 @@ def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, refusal):
     lessons_of(tmp_path, range(6))
     monkeypatch.chdir(tmp_path)
     for words, expected in (
-        (("--set", "held_out=0.001"), "found 6 training clips and 0 held-out clips"),
         (("--store", "elsewhere"), "give the --store of `slgaussian supervise`"),
     ):
         assert expected in refusal(*command(tmp_path, "out", *words))
 
 
 def retrain_settings(folder: Path, **more):
-    values = {"sources": ["chunks"], "out": str(folder / "out"), "models": str(folder / "models")}
-    (folder / "out").mkdir(exist_ok=True)
+    values = {
+        "sources": ["chunks"],
+        "out": str(folder / "corpus"),
+        "models": str(folder / "models"),
+    }
     return read_toml(None, {**values, "held_out": 0.4, "steps": 4, **more}, RetrainSettings)
 
 
@@ -217,8 +237,11 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert versions.current() == outcome.version
     scores = outcome.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
-    with pytest.raises(InputError, match=r"held_out: found 0\.3, but version 4 .* with 0\.4"):
-        learn(lessons_of(tmp_path, range(18)), retrain_settings(tmp_path, held_out=0.3), store)
+    sides = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
+    learn(lessons_of(tmp_path, range(24)), retrain_settings(tmp_path, held_out=0.9), store)
+    after = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
+    assert sides.items() <= after.items() and len(after) == 24
+    assert not outcome.version.shares_split(versions.all()[-1])
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
@@ -226,13 +249,16 @@ def test_versions_are_listed_and_put_to_use(tmp_path, slg, refusal):
     versions = Versions(tmp_path / "models")
     for _ in range(2):
         versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, False, "too few clips")
+    versions.add(bad_branch(), {"split": "0123456789abcdef"}, False, "no gain")
     models = ["versions", tmp_path / "models"]
     status, out, _ = slg(*models, "--use", "2")
     listed = out.splitlines()
-    assert status == 0 and listed[2].startswith("2 *  ") and "  held  too few clips" in listed[2]
+    assert status == 0 and listed[2].startswith("2 *  ")
+    assert "  held     another split  too few clips" in listed[2]
+    assert "  held  0123456789abcdef  no gain" in listed[3]
     assert listed[-1] == "* in use: version 2"
     for choice in ("7", "two"):
         error = refusal(*models, "--use", choice)
-        assert "expected one of the versions there (1, 2), or none" in error
+        assert "expected one of the versions there (1, 2, 3), or none" in error
     for choice, last in (("1", "* in use: version 1"), ("none", "none is in use")):
         assert slg(*models, "--use", choice)[1].splitlines()[-1] == last

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian import datasets
-from slgaussian.kernels.seeding import content_of, held_out, hold_out, seed_for
+from slgaussian.kernels.seeding import content_of, held_out, seed_for
 from slgaussian.scene import Sample
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
 
@@ -63,16 +63,3 @@ def test_about_the_share_is_held_out_and_always_the_same():
     stored = [held_out(f"clip {k}", 0.2) for k in range(4000)]
     assert abs(sum(stored) / 4000 - 0.2) < 0.025
     assert [k for k in range(40) if stored[k]] == [6, 9, 11, 13, 14, 15, 27, 29, 31]
-
-
-def test_one_of_several_clips_is_held_out_where_a_share_is_asked_for():
-    clips = [f"clip {k}" for k in range(5)]
-    assert not any(held_out(clip, 0.2) for clip in clips)
-    first = next(
-        hold_out(clips, share)
-        for share in np.arange(0.2, 1, 0.01)
-        if any(held_out(clip, share) for clip in clips)
-    )
-    assert len(first) == 1 and hold_out(clips, 0.2) == first
-    assert hold_out(clips, 0) == hold_out(clips[:1], 0.2) == set()
-    assert hold_out([*clips, "clip 6"], 0.2) == {"clip 6"}
