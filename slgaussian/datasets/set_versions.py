@@ -1,0 +1,177 @@
+"""Versions of a training set: a manifest each, ``versions/000003.json`` (spec ``set_version``).
+
+A version is a change of the content, the settings or the shards. Manifests have no time, so the
+same input gives the same bytes. The manifest is written before the index: after a crash between
+them it describes an index that was never there, and the next run adds another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from slgaussian.datasets.shard_writing import Written
+from slgaussian.errors import SpecError
+from slgaussian.formats import strict_json
+from slgaussian.io import write_atomic
+from slgaussian.storage.provenance import provenance_metadata
+from slgaussian.storage.specs import load_spec
+
+FOLDER = "versions"
+CONTENT = ("sample", "digest", "split", "place")
+"""Columns of the index that are the content of a set, whatever its shards."""
+
+Manifest = dict[str, Any]
+
+
+def set_digest(index: pa.Table) -> str:
+    """Return the SHA-256 over samples, their digests, splits and places, hexadecimal."""
+    rows = sorted(zip(*(index[name].to_pylist() for name in CONTENT), strict=True))
+    return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
+
+
+def read_versions(out: Path) -> list[Manifest]:
+    """Read all manifests of a set, the oldest first; SpecError if one is damaged."""
+    manifests, label = [], load_spec("set_version").label
+    for file in sorted((out / FOLDER).glob("[0-9]*.json")):
+        try:
+            manifests.append(strict_json.parse(file.read_bytes()))
+            if manifests[-1]["spec"] != label or manifests[-1]["version"] != int(file.stem):
+                raise ValueError(f"it is no {label} of this number")
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise SpecError(f"{file}: cannot be read ({error}); restore or remove it") from error
+    return manifests
+
+
+@dataclass(frozen=True)
+class Causes:
+    """What is known of clips and samples that are not in a set.
+
+    Attributes:
+        withdrawn: Clips that may no longer be used.
+        refused: The reason by clip or sample.
+        present: Clips that the sources have.
+    """
+
+    withdrawn: Collection[str] = ()
+    refused: Mapping[str, str] = field(default_factory=dict)
+    present: Collection[str] = ()
+
+    def why_gone(self, clip: str, samples: Collection[str], otherwise: str) -> str:
+        """Return why samples of a clip are gone."""
+        if clip in self.withdrawn:
+            return "withdrawn"
+        reasons = [self.refused[name] for name in (clip, *samples) if name in self.refused]
+        if reasons:
+            return f"refused: {reasons[0]}"
+        return otherwise if clip in self.present else "source gone"
+
+
+def add_version(
+    out: Path,
+    before: pa.Table,
+    written: Written,
+    settings: Mapping[str, Any],
+    causes: Causes,
+) -> Manifest:
+    """Write the manifest of a set that changes from an index to another; return it.
+
+    If content, settings and shards are those of the last version, that one is returned.
+
+    Raises:
+        SpecError: If an earlier manifest is damaged.
+        OSError: If the file cannot be written.
+    """
+    history, plain = read_versions(out), json.loads(json.dumps(settings))
+    last = history[-1] if history else {"version": 0, "settings": plain}
+    state = {
+        "digest": set_digest(written.index),
+        "settings": plain,
+        "shards": written.shards,
+    }
+    if all(last.get(name) == value for name, value in state.items()):
+        return last
+    old, new = last["settings"], state["settings"]
+    differ = sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
+    changed = f"settings changed: {', '.join(differ)}" if differ else ""
+    why = [] if history else ["first version"]
+    why += [changed] if changed else []
+    parts = _compare(before, written.index, causes, changed or "its source or the program changed")
+    why += [f"{part} {len(clips)} clips" for part, clips in parts.items() if clips]
+    manifest = {
+        "spec": load_spec("set_version").label,
+        "version": last["version"] + 1,
+        **state,
+        "counts": count_splits(written.index),
+        "why": why or ["shards written anew: the old ones were damaged, or full at another size"],
+        **parts,
+        **provenance_metadata(),
+    }
+    write_manifest(out, manifest)
+    return manifest
+
+
+def write_manifest(out: Path, manifest: Manifest) -> None:
+    """Write a manifest under its number; OSError if that fails."""
+    (out / FOLDER).mkdir(exist_ok=True)
+    text = json.dumps(manifest, indent=1, ensure_ascii=False)
+    write_atomic(out / FOLDER / f"{manifest['version']:06d}.json", text.encode())
+
+
+def count_splits(index: pa.Table) -> dict[str, dict[str, int]]:
+    """Return the numbers of samples, clips and places of each split."""
+    names = ("sample", "clip", "place")
+    return {
+        split: {
+            f"{name}s": len(index.filter(pc.field("split") == split)[name].unique())
+            for name in names
+        }
+        for split in sorted(index["split"].unique().to_pylist())
+    }
+
+
+def _compare(
+    before: pa.Table, after: pa.Table, causes: Causes, otherwise: str
+) -> dict[str, dict[str, Any]]:
+    """Return the clips that came, went and changed: the number of samples, and why."""
+    old, new = ({row["sample"]: row for row in t.to_pylist()} for t in (before, after))
+    clips = {row["clip"] for row in old.values()}
+
+    def by_clip(
+        names: Collection[str],
+        rows: Mapping[str, Mapping[str, Any]],
+        explain: Callable[[str, list[str]], str],
+    ) -> dict[str, dict[str, Any]]:
+        groups = defaultdict(list)
+        for name in sorted(names):
+            groups[rows[name]["clip"]].append(name)
+        return {
+            clip: {"samples": len(group), "why": explain(clip, group)}
+            for clip, group in sorted(groups.items())
+        }
+
+    def why_other(_: str, names: list[str]) -> str:
+        parts = Counter(part for n in names for part in CONTENT[1:] if old[n][part] != new[n][part])
+        return f"{', '.join(sorted(parts))} changed; {otherwise}"
+
+    return {
+        "came": by_clip(
+            new.keys() - old.keys(), new, lambda c, _: otherwise if c in clips else "new clip"
+        ),
+        "went": by_clip(
+            old.keys() - new.keys(), old, lambda c, names: causes.why_gone(c, names, otherwise)
+        ),
+        "changed": by_clip(
+            {n for n in old.keys() & new.keys() if any(old[n][c] != new[n][c] for c in CONTENT)},
+            new,
+            why_other,
+        ),
+    }
