@@ -24,7 +24,7 @@ from flows.training import parted, read_lessons, read_places, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.io import write_atomic
-from slgaussian.semantic.versions import Version, Versions, version_name
+from slgaussian.semantic.versions import Version, Versions, clip_mark, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
@@ -182,6 +182,7 @@ def learn(
     means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
     facts = {"asked": requested, "counts": lessons.counts(), "scores": scores}
+    facts["saw"] = sorted(map(clip_mark, lessons.learnt["clip"].unique().to_pylist()))
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     if added.promoted:
         return Learnt(f"version {added.number} promoted: {added.why}", added)
