@@ -25,7 +25,7 @@ from slgaussian.components.method import Method
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.data_card import UNKNOWN, describe_set
 from slgaussian.datasets.scene_grouping import Places
-from slgaussian.datasets.set_versions import Causes, add_version, read_versions
+from slgaussian.datasets.set_versions import add_version, read_versions
 from slgaussian.datasets.shard_writing import (
     Written,
     read_index,
@@ -173,11 +173,11 @@ def _write(
         return store.get(refs[sample])["tar"].tobytes()
 
     refused = {failure.scene: failure.reason for failure in reversed(failures)}
-    causes = Causes(config.withdrawn_clips(), refused, clips.owners)
+    withdrawn = config.withdrawn_clips()
     with writing(out):
         before, used = read_index(out), {n for v in read_versions(out) for n in v["shards"]}
         written = write_shards(out, rows, read, config.shard_mb * 1e6, used)
-        manifest = add_version(out, before, written, settings, causes)
+        manifest = add_version(out, before, written, settings, withdrawn, refused, clips.owners)
         write_index(out, written.index)
         retire_shards(out, written.shards, config.keep_old_days)
         describe_set(out, manifest)

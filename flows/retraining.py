@@ -181,8 +181,8 @@ def learn(
     decision = gate(judgements, rivals)
     means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
-    facts = {"asked": requested, "counts": lessons.counts(), "scores": scores}
-    facts["saw"] = sorted(map(clip_mark, lessons.learnt["clip"].unique().to_pylist()))
+    saw = sorted(map(clip_mark, lessons.learnt["clip"].unique().to_pylist()))
+    facts = {"asked": requested, "counts": lessons.counts(), "scores": scores, "saw": saw}
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     if added.promoted:
         return Learnt(f"version {added.number} promoted: {added.why}", added)

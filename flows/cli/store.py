@@ -129,11 +129,13 @@ def purge(
             for folder in sets:
                 purging.purge_folder(folder, traces)
         count, left = purging.search_store(opened, traces)
-        derived = purging.derived_files(opened, left)
-    places = {opened.root: (count, sorted(left | derived))}
-    places |= {str(folder): purging.search_folder(folder, traces) for folder in [*sets, *models]}
+        left |= set(purging.derived_files(opened, left))
+    places = {opened.root: (count, sorted(left))}
+    for folder in [*sets, *models]:
+        count, marked = purging.search_folder(folder, traces)
+        places[str(folder)] = count, list(map(str, marked))
     for name, (count, files) in places.items():
-        typer.echo(f"{name}: {count} files searched, {len(files)} have to do with them")
+        typer.echo(f"{name}: {count} files searched, {len(files)} have to do with the clips")
         for file in files:
             typer.echo(f"  {file}")
     for folder in models:
@@ -143,8 +145,10 @@ def purge(
         for version in silent:
             typer.echo(f"{folder}: version {version.number} does not say what it was trained on")
     is_left = any(files for _, files in places.values())
-    if is_left and not yes:
-        typer.echo("nothing was removed: give --yes to do it")
+    if is_left:
+        typer.echo("they are left" if yes else "nothing was removed: give --yes to do it")
+    elif not yes:
+        typer.echo("there is nothing of them: they are gone, or their keys are others")
     typer.echo("give the clips as `withdrawn` from now on, or they come again from their sources")
     raise typer.Exit(is_left and yes)
 

@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 
 from slgaussian.datasets import re10k
 from slgaussian.datasets.data_card import describe_set
-from slgaussian.datasets.set_versions import Causes, add_version, read_versions, write_manifest
+from slgaussian.datasets.set_versions import add_version, read_versions, write_manifest
 from slgaussian.datasets.shard_writing import read_index, retire_shards, write_index, write_shards
 from slgaussian.datasets.shards import key_of
 from slgaussian.datasets.training_set import INDEX, TrainingSet
@@ -63,16 +63,31 @@ class Traces:
         """Return whether a text has one of them as a whole word."""
         return bool(self._words.search(text if isinstance(text, bytes) else text.encode()))
 
-    def in_rows(self, table: pa.Table) -> np.ndarray:
-        """Return whether a text in each row of a table has one of them, bool [N]."""
-        marked = np.zeros(table.num_rows, bool)
-        for column in table.columns:
+    def in_columns(self, table: pa.Table) -> dict[str, pa.Array]:
+        """Return which rows of a table have one of them in a text, bool [N] by column."""
+        marked = {}
+        for name, column in zip(table.column_names, table.columns, strict=True):
             if pa.types.is_string(column.type):
-                texts = [
-                    text for text in column.unique().to_pylist() if text and self.in_text(text)
-                ]
-                marked |= pc.is_in(column, pa.array(texts, pa.string())).to_numpy()
+                texts = [t for t in column.unique().to_pylist() if t and self.in_text(t)]
+                if texts:
+                    marked[name] = pc.is_in(column, pa.array(texts, pa.string()))
         return marked
+
+    def cut_from(self, table: pa.Table) -> pa.Table:
+        """Return a table without rows of the clips, and without their names in other rows.
+
+        A place that is named after a clip keeps its name, on which its side of a split depends.
+        """
+        for name, marked in self.in_columns(table).items():
+            number = table.column_names.index(name)
+            if name != "place" and table.schema.field(number).nullable:
+                empty = pc.if_else(marked, None, table[name])
+                table = table.set_column(number, table.schema.field(number), empty)
+        marks = [marked for name, marked in self.in_columns(table).items() if name != "place"]
+        keep = np.ones(table.num_rows, bool)
+        for marked in marks:
+            keep &= ~marked.to_numpy()
+        return table.filter(pa.array(keep))
 
     def in_clip(self, clip: re10k.Clip) -> bool:
         """Return whether it is one of the clips, or has one of their photographs."""
@@ -86,7 +101,7 @@ class Traces:
         suffix = PurePath(name).suffix
         with suppress(Exception):  # damaged: its bytes were searched
             if suffix == ".parquet":
-                return bool(self.in_rows(read_table(data)).any())
+                return bool(self.in_columns(read_table(data)))
             if suffix == ".torch":
                 return any(map(self.in_clip, re10k.clips_in(data, name)))
             if suffix == ".npz":
@@ -140,28 +155,33 @@ def search_folder(folder: Path, traces: Traces) -> tuple[int, list[Path]]:
     return len(files), [file for file in files if traces.in_file(file.name, file.read_bytes())]
 
 
-def derived_files(store: ArtifactStore, marked: Collection[str]) -> set[str]:
+def derived_files(store: ArtifactStore, marked: Collection[str]) -> list[str]:
     """Return the files of a store to remove: ``marked`` ones, and what was computed from them.
 
+    Those that lead to others come last, so that a removal that was interrupted can be repeated.
     Artifacts that other records refer to stay, as do files that are not of the store.
     """
     records = [record for page in Records(store).all() for record in page if record.ref]
     digests = {ref.digest for uri in marked if (ref := ref_of(uri))}
-    gone, before = set[str](), -1
+    gone, before = dict[str, None](), -1
     while before != len(digests) + len(gone):
         before = len(digests) + len(gone)
         for record in records:
             assert record.ref is not None
             used = {record.ref.digest, *DIGEST.findall(json.dumps(record.ref.meta))}
             if record.file.uri in marked or not digests.isdisjoint(used):
-                gone.add(record.file.uri)
+                gone[record.file.uri] = None
                 digests.add(record.ref.digest)
     named = {uri for r in records if r.file.uri not in gone for uri in r.named}
     lost = {uri for r in records if r.file.uri in gone for uri in r.named}
     own = {uri for uri in marked if ref_of(uri) or uri.startswith((f"{RECORDS}/", "digests/"))}
     if any(uri.startswith(HISTORY) for uri in marked):
         own |= {f"{HISTORY}{ending}" for ending in ("", "-wal", "-shm")}
-    return gone | own | (lost - named)
+    return [
+        *sorted(lost - named - own),
+        *(uri for uri in reversed(gone) if uri not in own),
+        *sorted(own),
+    ]
 
 
 def purge_folder(folder: Path, traces: Traces) -> None:
@@ -177,8 +197,7 @@ def purge_folder(folder: Path, traces: Traces) -> None:
     try:
         for file in search_folder(folder, traces)[1]:
             if file.suffix == ".parquet" and not (is_set and file == index):
-                table = read_table(file)
-                table = table.filter(pa.array(~traces.in_rows(table)))
+                table = traces.cut_from(read_table(file))
                 with atomic_path(file) as draft:
                     pq.write_table(table, draft, compression="zstd")
             elif file.suffix == ".torch":
@@ -216,7 +235,7 @@ def _purge_set(out: Path, traces: Traces) -> None:
     written = write_shards(
         out, rows, lambda name: samples.data(numbers[name]), settings["shard_mb"] * 1e6, used
     )
-    add_version(out, before, written, settings, Causes(traces.clips))
+    add_version(out, before, written, settings, traces.clips)
     for manifest in read_versions(out):
         for part in ("came", "went", "changed"):
             marked = [c for c, entry in manifest[part].items() if traces.in_text(f"{c} {entry}")]

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from slgaussian.benchmark.reports.model import count_text
 from slgaussian.datasets.shard_writing import Written
 from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
@@ -51,40 +50,23 @@ def read_versions(out: Path) -> list[Manifest]:
     return manifests
 
 
-@dataclass(frozen=True)
-class Causes:
-    """What is known of clips and samples that are not in a set.
-
-    Attributes:
-        withdrawn: Clips that may no longer be used.
-        refused: The reason by clip or sample.
-        present: Clips that the sources have.
-    """
-
-    withdrawn: Collection[str] = ()
-    refused: Mapping[str, str] = field(default_factory=dict)
-    present: Collection[str] = ()
-
-    def why_gone(self, clip: str, samples: Collection[str], otherwise: str) -> str:
-        """Return why samples of a clip are gone."""
-        if clip in self.withdrawn:
-            return "withdrawn"
-        reasons = [self.refused[name] for name in (clip, *samples) if name in self.refused]
-        if reasons:
-            return f"refused: {reasons[0]}"
-        return otherwise if clip in self.present else "source gone"
-
-
 def add_version(
     out: Path,
     before: pa.Table,
     written: Written,
     settings: Mapping[str, Any],
-    causes: Causes,
+    withdrawn: Collection[str] = (),
+    refused: Mapping[str, str] | None = None,
+    present: Collection[str] = (),
 ) -> Manifest:
     """Write the manifest of a set that changes from an index to another; return it.
 
     If content, settings and shards are those of the last version, that one is returned.
+
+    Args:
+        withdrawn: Clips that may no longer be used.
+        refused: Reasons by clip or sample.
+        present: Clips that the sources have.
 
     Raises:
         SpecError: If an earlier manifest is damaged.
@@ -92,20 +74,26 @@ def add_version(
     """
     history, plain = read_versions(out), json.loads(json.dumps(settings))
     last = history[-1] if history else {"version": 0, "settings": plain}
-    state = {
-        "digest": set_digest(written.index),
-        "settings": plain,
-        "shards": written.shards,
-    }
+    digest = set_digest(written.index)
+    state = {"digest": digest, "settings": plain, "shards": written.shards}
     if all(last.get(name) == value for name, value in state.items()):
         return last
-    old, new = last["settings"], state["settings"]
-    differ = sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
+    old = last["settings"]
+    differ = sorted(name for name in {*old, *plain} if old.get(name) != plain.get(name))
     changed = f"settings changed: {', '.join(differ)}" if differ else ""
-    why = [] if history else ["first version"]
-    why += [changed] if changed else []
-    parts = _compare(before, written.index, causes, changed or "its source or the program changed")
-    why += [f"{part} {len(clips)} clips" for part, clips in parts.items() if clips]
+    why = [text for text in ("" if history else "first version", changed) if text]
+
+    def explain(clip: str, sample: str) -> str:
+        reasons = [text for key in (clip, sample) if (text := (refused or {}).get(key))]
+        if clip in withdrawn:
+            return "withdrawn"
+        if reasons:
+            return f"refused: {reasons[0]}"
+        return otherwise if clip in present else "source gone"
+
+    otherwise = changed or "its source or the program changed"
+    parts = _compare(before, written.index, explain, otherwise)
+    why += [f"{part}: {count_text(len(c), 'clip')}" for part, c in parts.items() if c]
     manifest = {
         "spec": load_spec("set_version").label,
         "version": last["version"] + 1,
@@ -139,39 +127,22 @@ def count_splits(index: pa.Table) -> dict[str, dict[str, int]]:
 
 
 def _compare(
-    before: pa.Table, after: pa.Table, causes: Causes, otherwise: str
+    before: pa.Table, after: pa.Table, explain: Callable[[str, str], str], otherwise: str
 ) -> dict[str, dict[str, Any]]:
     """Return the clips that came, went and changed: the number of samples, and why."""
     old, new = ({row["sample"]: row for row in t.to_pylist()} for t in (before, after))
-    clips = {row["clip"] for row in old.values()}
-
-    def by_clip(
-        names: Collection[str],
-        rows: Mapping[str, Mapping[str, Any]],
-        explain: Callable[[str, list[str]], str],
-    ) -> dict[str, dict[str, Any]]:
-        groups = defaultdict(list)
-        for name in sorted(names):
-            groups[rows[name]["clip"]].append(name)
-        return {
-            clip: {"samples": len(group), "why": explain(clip, group)}
-            for clip, group in sorted(groups.items())
-        }
-
-    def why_other(_: str, names: list[str]) -> str:
-        parts = Counter(part for n in names for part in CONTENT[1:] if old[n][part] != new[n][part])
-        return f"{', '.join(sorted(parts))} changed; {otherwise}"
-
-    return {
-        "came": by_clip(
-            new.keys() - old.keys(), new, lambda c, _: otherwise if c in clips else "new clip"
-        ),
-        "went": by_clip(
-            old.keys() - new.keys(), old, lambda c, names: causes.why_gone(c, names, otherwise)
-        ),
-        "changed": by_clip(
-            {n for n in old.keys() & new.keys() if any(old[n][c] != new[n][c] for c in CONTENT)},
-            new,
-            why_other,
-        ),
-    }
+    known = {row["clip"] for row in old.values()}
+    parts: dict[str, dict[str, Any]] = {"came": {}, "went": {}, "changed": {}}
+    for name in sorted({*old, *new}):
+        clip = (new.get(name) or old[name])["clip"]
+        if name not in old:
+            part, why = "came", otherwise if clip in known else "new clip"
+        elif name not in new:
+            part, why = "went", explain(clip, name)
+        elif changed := [key for key in CONTENT if old[name][key] != new[name][key]]:
+            part, why = "changed", f"another {' and '.join(changed)}"
+            why += f"; {otherwise}" if "digest" in changed else ""
+        else:
+            continue
+        parts[part].setdefault(clip, {"samples": 0, "why": why})["samples"] += 1
+    return {part: dict(sorted(clips.items())) for part, clips in parts.items()}
