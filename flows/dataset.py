@@ -108,7 +108,7 @@ def check(config: DatasetSettings, store: ArtifactStore) -> None:
     corpus.check(config, store)
     sources = sources_of(config.sources)
     for name in config.licences:
-        if not any(_is_called(source, name) for source in sources):
+        if not any(_has_name(source, name) for source in sources):
             titles = list(dict.fromkeys(source.title for source in sources))
             raise InputError(
                 f"licences: found {name!r}, expected one of the sources {', '.join(titles)}"
@@ -116,7 +116,7 @@ def check(config: DatasetSettings, store: ArtifactStore) -> None:
             )
 
 
-def _is_called(source: Source, name: str) -> bool:
+def _has_name(source: Source, name: str) -> bool:
     return name in (source.title, source.location) or source.location.endswith(f"/{name}")
 
 
@@ -166,7 +166,7 @@ def _write(
     out, refs, rows = config.out, {item.name: item.ref for item in finished}, []
     for item in finished:
         source = clips.sources[clips.owners[item.ref.meta["about"]["clip"]]]
-        named = (text for name, text in config.licences.items() if _is_called(source, name))
+        named = (text for name, text in config.licences.items() if _has_name(source, name))
         rows.append(item.row(source.title, next(named, UNKNOWN)))
 
     def read(sample: str) -> bytes:

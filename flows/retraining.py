@@ -24,7 +24,7 @@ from flows.training import parted, read_lessons, read_places, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.io import write_atomic
-from slgaussian.semantic.versions import Version, Versions, clip_mark, version_name
+from slgaussian.semantic.versions import Version, Versions, mark_clip, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
@@ -181,7 +181,7 @@ def learn(
     decision = gate(judgements, rivals)
     means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
-    saw = sorted(map(clip_mark, lessons.learnt["clip"].unique().to_pylist()))
+    saw = sorted(map(mark_clip, lessons.learnt["clip"].unique().to_pylist()))
     facts = {"asked": requested, "counts": lessons.counts(), "scores": scores, "saw": saw}
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     if added.promoted:

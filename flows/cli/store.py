@@ -116,7 +116,7 @@ def purge(
     for folder in [*sets, *models]:
         if not folder.is_dir():
             raise InputError(f"{folder}: found no folder, expected one of results")
-    clips = {*clip, *purging.clips_of_place(place, sets)}
+    clips = {*clip, *purging.find_clips(place, sets)}
     if not clips:
         raise InputError("give --clip, or a --place that the index of a --set has")
     with _opened(store) as opened:
@@ -125,21 +125,21 @@ def purge(
             typer.echo(f"{other}: has the same photographs, and counts as withdrawn too")
         if yes:
             marked = purging.search_store(opened, traces)[1]
-            opened.remove(purging.derived_files(opened, marked))
+            opened.remove(purging.find_derived_files(opened, marked))
             for folder in sets:
                 purging.purge_folder(folder, traces)
         count, left = purging.search_store(opened, traces)
-        left |= set(purging.derived_files(opened, left))
+        left |= set(purging.find_derived_files(opened, left))
     places = {opened.root: (count, sorted(left))}
     for folder in [*sets, *models]:
-        count, marked = purging.search_folder(folder, traces)
-        places[str(folder)] = count, list(map(str, marked))
+        count, traced = purging.search_folder(folder, traces)
+        places[str(folder)] = count, list(map(str, traced))
     for name, (count, files) in places.items():
         typer.echo(f"{name}: {count} files searched, {len(files)} have to do with the clips")
         for file in files:
             typer.echo(f"  {file}")
     for folder in models:
-        seen, silent = Versions(folder).saw(traces.clips)
+        seen, silent = Versions(folder).find_trained_on(traces.clips)
         for version in seen:
             typer.echo(f"{folder}: version {version.number} was trained on them")
         for version in silent:
@@ -150,7 +150,7 @@ def purge(
     elif not yes:
         typer.echo("there is nothing of them: they are gone, or their keys are others")
     typer.echo("give the clips as `withdrawn` from now on, or they come again from their sources")
-    raise typer.Exit(is_left and yes)
+    raise typer.Exit(int(is_left and yes))
 
 
 @contextmanager

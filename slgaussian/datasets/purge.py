@@ -59,16 +59,16 @@ class Traces:
         text = rf"(?<![\w-])(?:{'|'.join([sample, *sorted(self.photographs)])})(?![\w-])"
         return re.compile(text.encode())
 
-    def in_text(self, text: str | bytes) -> bool:
+    def is_in_text(self, text: str | bytes) -> bool:
         """Return whether a text has one of them as a whole word."""
         return bool(self._words.search(text if isinstance(text, bytes) else text.encode()))
 
-    def in_columns(self, table: pa.Table) -> dict[str, pa.Array]:
+    def find_in_columns(self, table: pa.Table) -> dict[str, pa.Array]:
         """Return which rows of a table have one of them in a text, bool [N] by column."""
         marked = {}
         for name, column in zip(table.column_names, table.columns, strict=True):
             if pa.types.is_string(column.type):
-                texts = [t for t in column.unique().to_pylist() if t and self.in_text(t)]
+                texts = [t for t in column.unique().to_pylist() if t and self.is_in_text(t)]
                 if texts:
                     marked[name] = pc.is_in(column, pa.array(texts, pa.string()))
         return marked
@@ -78,32 +78,32 @@ class Traces:
 
         A place that is named after a clip keeps its name, on which its side of a split depends.
         """
-        for name, marked in self.in_columns(table).items():
+        for name, marked in self.find_in_columns(table).items():
             number = table.column_names.index(name)
             if name != "place" and table.schema.field(number).nullable:
                 empty = pc.if_else(marked, None, table[name])
                 table = table.set_column(number, table.schema.field(number), empty)
-        marks = [marked for name, marked in self.in_columns(table).items() if name != "place"]
+        marks = [marked for name, marked in self.find_in_columns(table).items() if name != "place"]
         keep = np.ones(table.num_rows, bool)
         for marked in marks:
             keep &= ~marked.to_numpy()
         return table.filter(pa.array(keep))
 
-    def in_clip(self, clip: re10k.Clip) -> bool:
+    def is_in_clip(self, clip: re10k.Clip) -> bool:
         """Return whether it is one of the clips, or has one of their photographs."""
         digests = (hashlib.sha256(image).hexdigest() for image in clip.images)
         return clip.key in self.clips or not self.photographs.isdisjoint(digests)
 
-    def in_file(self, name: str, data: bytes) -> bool:
+    def is_in_file(self, name: str, data: bytes) -> bool:
         """Return whether a file has one of them, also compressed, or is a photograph."""
-        if self.in_text(data) or hashlib.sha256(data).hexdigest() in self.photographs:
+        if self.is_in_text(data) or hashlib.sha256(data).hexdigest() in self.photographs:
             return True
         suffix = PurePath(name).suffix
         with suppress(Exception):  # damaged: its bytes were searched
             if suffix == ".parquet":
-                return bool(self.in_columns(read_table(data)))
+                return bool(self.find_in_columns(read_table(data)))
             if suffix == ".torch":
-                return any(map(self.in_clip, re10k.clips_in(data, name)))
+                return any(map(self.is_in_clip, re10k.clips_in(data, name)))
             if suffix == ".npz":
                 arrays, metadata = decode_npz(data)
                 texts = [
@@ -112,13 +112,13 @@ class Traces:
                 blobs = {
                     n: a.tobytes() for n, a in arrays.items() if a.dtype == "u1" and a.ndim == 1
                 }
-                return self.in_text("\n".join([json.dumps(metadata), *texts])) or any(
-                    self.in_file(f"x.{kind}", blob) for kind, blob in blobs.items()
+                return self.is_in_text("\n".join([json.dumps(metadata), *texts])) or any(
+                    self.is_in_file(f"x.{kind}", blob) for kind, blob in blobs.items()
                 )
         return False
 
 
-def clips_of_place(place: str | None, sets: Sequence[Path]) -> set[str]:
+def find_clips(place: str | None, sets: Sequence[Path]) -> set[str]:
     """Return the clips of a place by the indexes of training sets; none for no place."""
     rows = [row for folder in sets for row in read_index(folder).to_pylist()]
     return {row["clip"] for row in rows if row["place"] == place}
@@ -146,16 +146,16 @@ def find_traces(clips: Collection[str], store: ArtifactStore, folders: Sequence[
 def search_store(store: ArtifactStore, traces: Traces) -> tuple[int, set[str]]:
     """Search all files of a store; return their number, and the paths of those with traces."""
     uris = [file.uri for files in store.walk() for file in files]
-    return len(uris), {uri for uri in uris if traces.in_file(uri, store.read(uri))}
+    return len(uris), {uri for uri in uris if traces.is_in_file(uri, store.read(uri))}
 
 
 def search_folder(folder: Path, traces: Traces) -> tuple[int, list[Path]]:
     """Search all files of a folder; return their number, and those with traces."""
     files = sorted(file for file in folder.rglob("*") if file.is_file())
-    return len(files), [file for file in files if traces.in_file(file.name, file.read_bytes())]
+    return len(files), [file for file in files if traces.is_in_file(file.name, file.read_bytes())]
 
 
-def derived_files(store: ArtifactStore, marked: Collection[str]) -> list[str]:
+def find_derived_files(store: ArtifactStore, marked: Collection[str]) -> list[str]:
     """Return the files of a store to remove: ``marked`` ones, and what was computed from them.
 
     Those that lead to others come last, so that a removal that was interrupted can be repeated.
@@ -174,13 +174,13 @@ def derived_files(store: ArtifactStore, marked: Collection[str]) -> list[str]:
                 digests.add(record.ref.digest)
     named = {uri for r in records if r.file.uri not in gone for uri in r.named}
     lost = {uri for r in records if r.file.uri in gone for uri in r.named}
-    own = {uri for uri in marked if ref_of(uri) or uri.startswith((f"{RECORDS}/", "digests/"))}
+    direct = {uri for uri in marked if ref_of(uri) or uri.startswith((f"{RECORDS}/", "digests/"))}
     if any(uri.startswith(HISTORY) for uri in marked):
-        own |= {f"{HISTORY}{ending}" for ending in ("", "-wal", "-shm")}
+        direct |= {f"{HISTORY}{ending}" for ending in ("", "-wal", "-shm")}
     return [
-        *sorted(lost - named - own),
-        *(uri for uri in reversed(gone) if uri not in own),
-        *sorted(own),
+        *sorted(lost - named - direct),
+        *(uri for uri in reversed(gone) if uri not in direct),
+        *sorted(direct),
     ]
 
 
@@ -213,7 +213,7 @@ def purge_folder(folder: Path, traces: Traces) -> None:
 
 
 def _purge_chunk(file: Path, traces: Traces) -> None:
-    clips = [clip for clip in re10k.read_chunk(file) if not traces.in_clip(clip)]
+    clips = [clip for clip in re10k.read_chunk(file) if not traces.is_in_clip(clip)]
     if clips:
         write_atomic(file, re10k.encoded(clips))
     else:
@@ -238,17 +238,17 @@ def _purge_set(out: Path, traces: Traces) -> None:
     add_version(out, before, written, settings, traces.clips)
     for manifest in read_versions(out):
         for part in ("came", "went", "changed"):
-            marked = [c for c, entry in manifest[part].items() if traces.in_text(f"{c} {entry}")]
+            marked = [c for c, entry in manifest[part].items() if traces.is_in_text(f"{c} {entry}")]
             count = sum(manifest[part].pop(clip)["samples"] for clip in marked)
             if marked:
                 manifest[part][PURGED] = {"samples": count, "why": "withdrawn"}
         licences = manifest["settings"]["licences"]
-        for source in [name for name in licences if traces.in_text(name)]:
+        for source in [name for name in licences if traces.is_in_text(name)]:
             del licences[source]
         write_manifest(out, manifest)
     write_index(out, written.index)
     for shard in out.glob("*.tar"):
-        if shard.name not in written.shards and traces.in_file(shard.name, shard.read_bytes()):
+        if shard.name not in written.shards and traces.is_in_file(shard.name, shard.read_bytes()):
             shard.unlink()
     retire_shards(out, written.shards, settings["keep_old_days"])
     describe_set(out, manifest)

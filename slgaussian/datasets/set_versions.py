@@ -31,7 +31,7 @@ CONTENT = ("sample", "digest", "split", "place")
 Manifest = dict[str, Any]
 
 
-def set_digest(index: pa.Table) -> str:
+def digest_content(index: pa.Table) -> str:
     """Return the SHA-256 over samples, their digests, splits and places, hexadecimal."""
     rows = sorted(zip(*(index[name].to_pylist() for name in CONTENT), strict=True))
     return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
@@ -74,7 +74,7 @@ def add_version(
     """
     history, plain = read_versions(out), json.loads(json.dumps(settings))
     last = history[-1] if history else {"version": 0, "settings": plain}
-    digest = set_digest(written.index)
+    digest = digest_content(written.index)
     state = {"digest": digest, "settings": plain, "shards": written.shards}
     if all(last.get(name) == value for name, value in state.items()):
         return last
@@ -131,12 +131,12 @@ def _compare(
 ) -> dict[str, dict[str, Any]]:
     """Return the clips that came, went and changed: the number of samples, and why."""
     old, new = ({row["sample"]: row for row in t.to_pylist()} for t in (before, after))
-    known = {row["clip"] for row in old.values()}
+    clips_before = {row["clip"] for row in old.values()}
     parts: dict[str, dict[str, Any]] = {"came": {}, "went": {}, "changed": {}}
     for name in sorted({*old, *new}):
         clip = (new.get(name) or old[name])["clip"]
         if name not in old:
-            part, why = "came", otherwise if clip in known else "new clip"
+            part, why = "came", otherwise if clip in clips_before else "new clip"
         elif name not in new:
             part, why = "went", explain(clip, name)
         elif changed := [key for key in CONTENT if old[name][key] != new[name][key]]:

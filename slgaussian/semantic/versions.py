@@ -82,12 +82,12 @@ class Versions:
         """Return the version with a number; SpecError if its record is damaged or missing."""
         return _read(self._file(number))
 
-    def saw(self, clips: Collection[str]) -> tuple[list[Version], list[Version]]:
+    def find_trained_on(self, clips: Collection[str]) -> tuple[list[Version], list[Version]]:
         """Return the versions trained on one of the clips, and those that do not say on which.
 
         A version that training started from has passed on what it saw.
         """
-        marks, seen, silent = {clip_mark(clip) for clip in clips}, list[Version](), list[Version]()
+        marks, seen, silent = {mark_clip(clip) for clip in clips}, list[Version](), list[Version]()
         for version in self.all():
             if version.parent in {v.number for v in seen} or marks & {
                 *version.facts.get("saw", ())
@@ -199,7 +199,7 @@ class Versions:
         return self.folder / "versions" / f"{number:06d}.parquet"
 
 
-def clip_mark(clip: str) -> str:
+def mark_clip(clip: str) -> str:
     """Return the mark of a clip in ``facts["saw"]``, so that its name need not stay there."""
     return hashlib.sha256(clip.encode()).hexdigest()[:16]
 

@@ -10,7 +10,7 @@ from contents import failures, labels
 
 from slgaussian import datasets
 from slgaussian.datasets import re10k
-from slgaussian.datasets.purge import Traces, derived_files, search_store
+from slgaussian.datasets.purge import Traces, find_derived_files, search_store
 from slgaussian.datasets.shards import key_of
 from slgaussian.storage.encoding import encode_artifact
 from slgaussian.storage.records import Records
@@ -34,13 +34,13 @@ TRACES = Traces(frozenset({"büro 1"}), frozenset({PHOTOGRAPH}))
     ],
 )
 def test_a_trace_is_a_whole_word_or_the_photograph(name, text, expected):
-    assert TRACES.in_file(name, text.encode()) is expected
+    assert TRACES.is_in_file(name, text.encode()) is expected
 
 
 def test_traces_are_found_in_compressed_files():
     table = encode_artifact("failures", failures("büro 1"), "t")[1]
     other = encode_artifact("failures", failures("büro 10"), "t")[1]
-    assert TRACES.in_file("t.parquet", table) and not TRACES.in_file("t.parquet", other)
+    assert TRACES.is_in_file("t.parquet", table) and not TRACES.is_in_file("t.parquet", other)
     room = datasets.load("procedural", seed=1, objects=1, views=2, height=24, width=32)
     clip = re10k.clip_of(room)
     chunk = re10k.encoded([clip])
@@ -50,8 +50,8 @@ def test_traces_are_found_in_compressed_files():
         (replace(TRACES, photographs=frozenset({same})), True),
         (TRACES, False),
     ):
-        assert traces.in_file("000000.torch", chunk) is expected
-        assert traces.in_file("p.npz", packed) is expected
+        assert traces.is_in_file("000000.torch", chunk) is expected
+        assert traces.is_in_file("p.npz", packed) is expected
 
 
 def test_rows_go_and_a_name_in_a_nullable_column_alone_is_emptied():
@@ -88,7 +88,7 @@ def test_what_was_computed_from_a_clip_goes_and_what_others_share_stays(store: A
     store.write("notes.txt", "of büro 1, by the user".encode())
     count, marked = search_store(store, TRACES)
     assert count == 10 and marked == {named.uri, "notes.txt"}
-    files = derived_files(store, marked)
+    files = find_derived_files(store, marked)
     gone = {named.uri, alone.uri, far.uri}
     assert {uri for uri in files if not uri.startswith("keys/")} == gone and files[-1] == named.uri
     assert [
