@@ -126,7 +126,7 @@ def purge(
         if yes:
             marked = purging.search_store(opened, traces)[1]
             opened.remove(purging.find_derived_files(opened, marked))
-            for folder in sets:
+            for folder in [*sets, *models]:
                 purging.purge_folder(folder, traces)
         count, left = purging.search_store(opened, traces)
         left |= set(purging.find_derived_files(opened, left))

@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 
 from slgaussian.datasets import re10k
 from slgaussian.datasets.data_card import describe_set
-from slgaussian.datasets.set_versions import add_version, read_versions, write_manifest
+from slgaussian.datasets.set_versions import FOLDER, add_version, read_versions, write_manifest
 from slgaussian.datasets.shard_writing import read_index, retire_shards, write_index, write_shards
 from slgaussian.datasets.shards import key_of
 from slgaussian.datasets.training_set import INDEX, TrainingSet
@@ -196,7 +196,9 @@ def purge_folder(folder: Path, traces: Traces) -> None:
     index, is_set = folder / INDEX, read_index(folder).num_rows > 0
     try:
         for file in search_folder(folder, traces)[1]:
-            if file.suffix == ".parquet" and not (is_set and file == index):
+            if file.parent.name == FOLDER or (is_set and file == index):
+                continue  # manifests and the index follow; records of weights never change
+            if file.suffix == ".parquet":
                 table = traces.cut_from(read_table(file))
                 with atomic_path(file) as draft:
                     pq.write_table(table, draft, compression="zstd")
