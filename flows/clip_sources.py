@@ -56,6 +56,12 @@ class Source:
             return "/".join(Path(self.holds).parts[-2:])
         return self.holds.name
 
+    @property
+    def title(self) -> str:
+        """Name of all that was given as one source, without folders of the machine."""
+        is_path = ":" not in self.location.partition("/")[0]
+        return Path(self.location).resolve().name if is_path else self.location
+
 
 def sources_of(texts: Sequence[str]) -> list[Source]:
     """Return all scenes and chunks of the sources, in the given order.

@@ -279,6 +279,15 @@ class DatasetSettings(CorpusSettings):
         description="Format of stored images: jpg (quality 95) or png.",
     )
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is full.")
+    keep_old_days: float = Field(
+        7.0,
+        ge=0,
+        description="Days that a shard stays after it left the index, for readers that are open.",
+    )
+    licences: dict[str, str] = Field(
+        {},
+        description="Licence of each source, by its name or location; others are unknown.",
+    )
 
 
 class Training(TrainingConfig):

@@ -2,12 +2,13 @@
 
 One pipeline chooses the samples of each chunk and scene, a second one computes each sample, which
 is the unit of work, of caching and of failure. Then the samples are written to shards
-(:mod:`flows.shard_writing`) with a data card (:mod:`flows.data_card`).
+(:mod:`slgaussian.datasets.shard_writing`) as a version of the set
+(:mod:`slgaussian.datasets.set_versions`) with a data card (:mod:`slgaussian.datasets.data_card`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,18 +16,26 @@ from prefect import flow
 from prefect.states import State
 
 from flows import corpus
-from flows.clip_sources import Clips, choose_samples, map_sources
+from flows.clip_sources import Clips, Source, choose_samples, map_sources, sources_of
 from flows.config import DatasetSettings
-from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_with_progress, write_failures
 from flows.runners.session import final_state, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
-from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
 from slgaussian.datasets.configs import Bounds
+from slgaussian.datasets.data_card import UNKNOWN, describe_set
+from slgaussian.datasets.leaks import check_shards
 from slgaussian.datasets.scene_grouping import VIEW_COLUMNS, Places
-from slgaussian.datasets.splits import TEST, assign_split, read_split
-from slgaussian.errors import InputError
+from slgaussian.datasets.set_versions import add_version, read_versions
+from slgaussian.datasets.shard_writing import (
+    Written,
+    read_index,
+    retire_shards,
+    write_index,
+    write_shards,
+)
+from slgaussian.datasets.splits import TEST, Split, assign_split, read_split
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import KnownFile
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk, packed, pairs, views
@@ -37,11 +46,41 @@ from tasks.scene import geometry, supervision
 SAMPLES = (framed, geometry, all_masks, supervision, example)
 """Stages of a sample."""
 
+SETTINGS = (
+    "size", "targets", "held_out", "images", "shard_mb", "keep_old_days", "near", "far",
+    "trust_cameras", "licences",
+)  # fmt: skip
+"""Settings of a version of the set besides those of the method and the choice of samples."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A computed sample: artifact of spec ``example``, place and split."""
+
+    ref: ArtifactRef
+    place: str
+    split: str
+
+    @property
+    def name(self) -> str:
+        """Name of the sample."""
+        return self.ref.meta["about"]["sample"]
+
+    def row(self, source: str, licence: str) -> dict[str, Any]:
+        """Return its row of the index, without its position in a shard."""
+        meta = self.ref.meta
+        place = {"place": self.place, "split": self.split, "source": source, "licence": licence}
+        return {**meta["about"], **place, "bytes": meta["length"], "digest": meta["sha256"]}
+
 
 @dataclass(frozen=True)
 class TrainingSetResult:
-    """Result of a run: the size of the set, refused samples, and how it was split, as text."""
+    """Result of a run: number and size of the version of the set, refused samples, and its split.
 
+    ``split`` tells as text how places were split.
+    """
+
+    version: int
     samples: int
     places: int
     shards: int
@@ -56,11 +95,12 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
     """Make a training set, or update an existing one.
 
     The set then has exactly the samples of these sources with these settings. Shards whose samples
-    are unchanged stay the same, byte for byte. Refused samples are in ``failures.parquet``.
+    are unchanged stay the same, byte for byte; others stay as long as readers may need them.
+    Refused samples are in ``failures.parquet``.
 
     Raises:
-        InputError: If a source is missing, a component is unknown, no sample is left, the split
-            leaks, or the store or the folder cannot be written.
+        InputError: If a source is missing, a component is unknown, a licence is of no source, no
+            sample is left, the split leaks, or the store or the folder cannot be written.
     """
     result = run_session("dataset", config, lambda store: _make(config, store, verbose))
     return final_state(f"{result.samples} samples in {config.out}", result, result.failures)
@@ -70,6 +110,18 @@ def check(config: DatasetSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`make_training_set`."""
     config.built_by.check()
     corpus.check(config, store)
+    sources = sources_of(config.sources)
+    for name in config.licences:
+        if not any(_has_name(source, name) for source in sources):
+            titles = list(dict.fromkeys(source.title for source in sources))
+            raise InputError(
+                f"licences: found {name!r}, expected one of the sources {', '.join(titles)}"
+                f"{did_you_mean(name, titles)}"
+            )
+
+
+def _has_name(source: Source, name: str) -> bool:
+    return name in (source.title, source.location) or source.location.endswith(f"/{name}")
 
 
 def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> TrainingSetResult:
@@ -100,13 +152,52 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
             f"{config.out}: no sample is left of the sources; the reasons are in "
             f"{config.out / 'failures.parquet'}"
         )
-    versions = {stage.name: stage.version for stage in stages}
-    with writing(config.out):
-        written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6), split)
-        masked = sum("opaque" in item.ref.meta for item in finished)
-        write_card(config.out, config, len(failures), versions, masked)
+    settings = {
+        **config.model_dump(mode="json", include=set(SETTINGS)),
+        **dict(Bounds.of(config)),
+        "method": {key: value for key, value in config.identity.items() if key != "lifting"},
+        "stages": {stage.name: stage.version for stage in stages},
+    }
+    version, written = _write(config, finished, split, clips, failures, settings, store)
     places_left = {item.place for item in finished}
-    return TrainingSetResult(len(finished), len(places_left), *written, failures, split.summary)
+    sizes = len(finished), len(places_left), len(written.shards), len(written.new), written.bytes
+    return TrainingSetResult(version, *sizes, failures, split.summary)
+
+
+def _write(
+    config: DatasetSettings,
+    finished: Sequence[Finished],
+    split: Split,
+    clips: Clips,
+    failures: Sequence[Failure],
+    settings: Mapping[str, Any],
+    store: ArtifactStore,
+) -> tuple[int, Written]:
+    """Write a version of the set; return its number, and the shards.
+
+    Readers see it when its index is written, which is last but for what describes it.
+    """
+    out, refs, rows = config.out, {item.name: item.ref for item in finished}, []
+    for item in finished:
+        source = clips.sources[clips.owners[item.ref.meta["about"]["clip"]]]
+        named = (text for name, text in config.licences.items() if _has_name(source, name))
+        rows.append(item.row(source.title, next(named, UNKNOWN)))
+
+    def read(sample: str) -> bytes:
+        return store.get(refs[sample])["tar"].tobytes()
+
+    refused = {failure.scene: failure.reason for failure in reversed(failures)}
+    withdrawn = config.withdrawn_clips()
+    with writing(out):
+        before, used = read_index(out), {n for v in read_versions(out) for n in v["shards"]}
+        written = write_shards(out, rows, read, config.shard_mb * 1e6, used)
+        check_shards(out, written.index, written.new)
+        split.write(out)
+        manifest = add_version(out, before, written, settings, withdrawn, refused, clips.owners)
+        write_index(out, written.index)
+        retire_shards(out, written.shards, config.keep_old_days)
+        describe_set(out, manifest)
+    return manifest["version"], written
 
 
 def make_example(

@@ -28,7 +28,7 @@ from slgaussian.datasets.splits import SPLITS, Split, read_split
 from slgaussian.errors import SLGaussianError
 from slgaussian.io import write_atomic
 from slgaussian.kernels.seeding import held_out
-from slgaussian.semantic.versions import Version, Versions, version_name
+from slgaussian.semantic.versions import Version, Versions, mark_clip, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
@@ -206,7 +206,8 @@ def learn(
     decision = gate(judgements, rivals)
     means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
-    facts = {"asked": requested, "counts": lessons.counts(), "scores": scores}
+    saw = sorted(map(mark_clip, lessons.learnt["clip"].unique().to_pylist()))
+    facts = {"asked": requested, "counts": lessons.counts(), "scores": scores, "saw": saw}
     facts["split"] = split.digest
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     if added.promoted:

@@ -89,12 +89,13 @@ def dataset(
     values = options.settings_from(ctx, DatasetSettings)
     settings = make_settings(values, "dataset", DatasetSettings)
     written = run_flow("dataset", settings, verbose)
-    from flows.data_card import CARD
+    from slgaussian.datasets.data_card import CARD
     from slgaussian.datasets.splits import FILE
 
     typer.echo(
-        f"{written.samples} samples of {written.places} places in {written.shards} shards, "
-        f"{written.new_shards} of them new, {written.bytes / 1e6:.1f} MB  {out}"
+        f"version {written.version}: {written.samples} samples of {written.places} places in "
+        f"{written.shards} shards, {written.new_shards} of them new, "
+        f"{written.bytes / 1e6:.1f} MB  {out}"
     )
     typer.echo(f"{written.split}  {out / FILE}")
     typer.echo(f"card  {out / CARD}")

@@ -1,4 +1,4 @@
-"""The commands `slgaussian inspect` and `slgaussian store gc | status`."""
+"""The commands `slgaussian inspect` and `slgaussian store gc | purge | status`."""
 
 from __future__ import annotations
 
@@ -162,6 +162,72 @@ def status(
         backlog = summarise(look_up(settings, opened), failures, records, settings.workers)
     typer.echo(json.dumps(backlog, indent=1, ensure_ascii=False) if as_json else as_text(backlog))
     raise typer.Exit(bool(backlog["gaps"]))
+
+
+@store_app.command()
+def purge(
+    clip: Annotated[list[str], typer.Option(help="Key of a clip; may be repeated.")] = [],  # noqa: B006
+    place: Annotated[str | None, typer.Option(help="Place in the index of a --set.")] = None,
+    store: options.Store = None,
+    sets: Annotated[
+        list[Path],
+        typer.Option("--set", help="Training set, or folder of `ingest` or `supervise`."),
+    ] = [],  # noqa: B006
+    models: Annotated[list[Path], typer.Option(help="Folder of versions of weights.")] = [],  # noqa: B006
+    yes: Annotated[bool, typer.Option("--yes", help="Remove them instead of listing.")] = False,
+) -> None:
+    """List all that is left of withdrawn clips, and remove it with --yes.
+
+    From the store go all artifacts and records of the clips, and what was computed from them; from
+    sets their samples, as a new version; from folders of `ingest` and `supervise` their rows and
+    chunks. Then all is searched again. The exit status is 1 if something is left. Versions of
+    weights that saw the clips are named. Other runs on the store must have ended.
+
+    \b
+    slgaussian store purge --clip office --set set --models models
+    slgaussian store purge --place office --set set --set corpus --yes
+    """
+    from slgaussian.datasets import purge as purging
+    from slgaussian.semantic.versions import Versions
+
+    for folder in [*sets, *models]:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: found no folder, expected one of results")
+    clips = {*clip, *purging.find_clips(place, sets)}
+    if not clips:
+        raise InputError("give --clip, or a --place that the index of a --set has")
+    with _opened(store) as opened:
+        traces = purging.find_traces(clips, opened, sets)
+        for other in sorted(traces.clips - clips):
+            typer.echo(f"{other}: has the same photographs, and counts as withdrawn too")
+        if yes:
+            marked = purging.search_store(opened, traces)[1]
+            opened.remove(purging.find_derived_files(opened, marked))
+            for folder in [*sets, *models]:
+                purging.purge_folder(folder, traces)
+        count, left = purging.search_store(opened, traces)
+        left |= set(purging.find_derived_files(opened, left))
+    places = {opened.root: (count, sorted(left))}
+    for folder in [*sets, *models]:
+        count, traced = purging.search_folder(folder, traces)
+        places[str(folder)] = count, list(map(str, traced))
+    for name, (count, files) in places.items():
+        typer.echo(f"{name}: {count} files searched, {len(files)} have to do with the clips")
+        for file in files:
+            typer.echo(f"  {file}")
+    for folder in models:
+        seen, silent = Versions(folder).find_trained_on(traces.clips)
+        for version in seen:
+            typer.echo(f"{folder}: version {version.number} was trained on them")
+        for version in silent:
+            typer.echo(f"{folder}: version {version.number} does not say what it was trained on")
+    is_left = any(files for _, files in places.values())
+    if is_left:
+        typer.echo("they are left" if yes else "nothing was removed: give --yes to do it")
+    elif not yes:
+        typer.echo("there is nothing of them: they are gone, or their keys are others")
+    typer.echo("give the clips as `withdrawn` from now on, or they come again from their sources")
+    raise typer.Exit(int(is_left and yes))
 
 
 @contextmanager

@@ -147,15 +147,21 @@ class TrainingSet(Dataset[dict[str, Any]]):
         item["quality"] = {k: v for k, v in info.items() if isinstance(v, int | float)}
         return item
 
-    def members(self, index: int) -> dict[str, bytes]:
-        """Read the stored members of a sample, by the suffix of their names."""
+    def data(self, index: int) -> bytes:
+        """Read the bytes of a sample: its members as a part of a tar file."""
         shard, offset, length = self._places[index]
         data = self._read(shard, offset, offset + length)
+        if len(data) != length:
+            reason = f"it has {len(data)} of the {length} bytes from {offset} on"
+            raise SpecError(f"{self.folder}/{shard}: is damaged ({reason}); {REPAIR}")
+        return data
+
+    def members(self, index: int) -> dict[str, bytes]:
+        """Read the stored members of a sample, by the suffix of their names."""
         try:
-            if len(data) != length:
-                raise ValueError(f"it has {len(data)} of the {length} bytes from {offset} on")
-            return unpack(data)
+            return unpack(self.data(index))
         except ValueError as error:
+            shard = self._places[index][0]
             raise SpecError(f"{self.folder}/{shard}: is damaged ({error}); {REPAIR}") from None
 
     def _read(self, name: str, start: int | None = None, end: int | None = None) -> bytes:

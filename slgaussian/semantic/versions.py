@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import re
+from collections.abc import Collection
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -89,6 +90,21 @@ class Versions:
     def version(self, number: int) -> Version:
         """Return the version with a number; SpecError if its record is damaged or missing."""
         return _read(self._file(number))
+
+    def find_trained_on(self, clips: Collection[str]) -> tuple[list[Version], list[Version]]:
+        """Return the versions trained on one of the clips, and those that do not say on which.
+
+        A version that training started from has passed on what it saw.
+        """
+        marks, seen, silent = {mark_clip(clip) for clip in clips}, list[Version](), list[Version]()
+        for version in self.all():
+            if version.parent in {v.number for v in seen} or marks & {
+                *version.facts.get("saw", ())
+            }:
+                seen.append(version)
+            elif version.parent in {v.number for v in silent} or "saw" not in version.facts:
+                silent.append(version)
+        return seen, silent
 
     def weights(self, version: Version) -> Path:
         """Return the weights file of a version.
@@ -190,6 +206,11 @@ class Versions:
 
     def _file(self, number: int) -> Path:
         return self.folder / "versions" / f"{number:06d}.parquet"
+
+
+def mark_clip(clip: str) -> str:
+    """Return the mark of a clip in ``facts["saw"]``, so that its name need not stay there."""
+    return hashlib.sha256(clip.encode()).hexdigest()[:16]
 
 
 def version_name(number: int) -> str:

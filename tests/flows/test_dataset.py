@@ -10,6 +10,7 @@ import tarfile
 import time
 from collections import defaultdict
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,11 @@ from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
-from slgaussian.storage.store import ArtifactStore
+from slgaussian.io import file_sha256
+from slgaussian.semantic.versions import Versions, mark_clip
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactStore, ref_of
+from tests.json_documents import read_document
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -181,7 +186,7 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, t
     shard = tmp_path / "set" / row["shard"]
     data = shard.read_bytes()
     shard.write_bytes(data[:600] + b"\xff" + data[601:])
-    made_set(settings_for(tmp_path, settings.sources[0]), store)
+    made_set(settings_for(tmp_path, settings.sources[0], keep_old_days=0), store)
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
     assert "kitchen" not in {refs["clip"] for refs in rows} and len(rows) == 2
     result = {refs["sample"]: refs for refs in rows}[row["sample"]]
@@ -192,6 +197,146 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, t
         data for name, data in files_below(tmp_path / "set").items() if name[-3:] == "tar"
     )
     assert b"kitchen" not in full and any(b"kitchen" in data for data in before.values())
+
+
+def manifests(folder: Path) -> list[dict]:
+    """The manifests of a set, each checked against its spec."""
+    spec = load_spec("set_version")
+    files = sorted((folder / "set/versions").iterdir())
+    return [read_document(file.read_bytes(), spec, file.name) for file in files]
+
+
+def card(folder: Path) -> str:
+    return (folder / "set/README.md").read_text()
+
+
+def test_a_reader_that_is_open_reads_on_after_an_update_until_the_delay_ends(output, tmp_path):
+    folder, store, settings, _ = output
+    shutil.copytree(folder / "set", tmp_path / "set")
+    reader = TrainingSet(tmp_path / "set")
+    rows = reader.rows.to_pylist()
+    kitchen = settings_for(tmp_path, settings.sources[1])
+    assert made_set(kitchen, store).version == 2 and len(TrainingSet(tmp_path / "set")) == 1
+    assert [reader[n]["sample"] for n in range(3)] == [row["sample"] for row in rows]
+    shards = {row["shard"] for row in rows if row["clip"] != "kitchen"}
+    retired = json.loads((tmp_path / "set/retired.json").read_text())
+    assert set(retired) == shards and not [s for s in shards if s in card(tmp_path)]
+    long_ago = [datetime.fromisoformat(time) - timedelta(days=7) for time in retired.values()]
+    changed = dict(zip(retired, map(str, long_ago), strict=True))
+    (tmp_path / "set/retired.json").write_text(json.dumps(changed))
+    assert made_set(kitchen, store).version == 2
+    assert not shards & set(os.listdir(tmp_path / "set"))
+    assert not (tmp_path / "set/retired.json").exists()
+    # Names of shards are not given again: a reader may still expect the old ones.
+    assert made_set(settings_for(tmp_path, *settings.sources), store).version == 3
+    assert (
+        not shards & set(os.listdir(tmp_path / "set")) and len(TrainingSet(tmp_path / "set")) == 3
+    )
+    with pytest.raises(SpecError, match="cannot be read"):
+        [reader[n] for n in range(3)]
+
+
+def test_a_manifest_says_what_came_and_went_and_why(output, tmp_path):
+    folder, store, settings, _ = output
+    shutil.copytree(folder / "set", tmp_path / "set")
+    chunks, kitchen = settings.sources
+    (tmp_path / "withdrawn").write_text("procedural_1\n")
+    made_set(settings_for(tmp_path, chunks, kitchen, withdrawn=tmp_path / "withdrawn"), store)
+    made_set(settings_for(tmp_path, chunks, images="png"), store)
+    first, withdrawn, last = manifests(tmp_path)
+    new = {"samples": 1, "why": "new clip"}
+    assert first["came"] == dict.fromkeys(("kitchen", "procedural_0", "procedural_1"), new)
+    assert withdrawn["went"] == {"procedural_1": {"samples": 1, "why": "withdrawn"}}
+    assert withdrawn["came"] == withdrawn["changed"] == {} and withdrawn["why"] == ["went: 1 clip"]
+    assert last["went"] == {"kitchen": {"samples": 1, "why": "source gone"}}
+    changed = {"samples": 1, "why": "another digest; settings changed: images"}
+    assert last["changed"] == {"procedural_0": changed} and "procedural_1" in last["came"]
+    for name, digest in last["shards"].items():
+        assert file_sha256(tmp_path / "set" / name) == digest
+    (tmp_path / "afresh").mkdir()
+    made_set(settings_for(tmp_path / "afresh", chunks, kitchen, shard_mb=5), store)
+    (cut,) = manifests(tmp_path / "afresh")
+    assert cut["digest"] == first["digest"] and cut["shards"] != first["shards"]
+
+
+def test_croissant_metadata_are_valid_and_describe_the_files(output, tmp_path):
+    mlcroissant = pytest.importorskip("mlcroissant")
+    _, store, settings, _ = output
+    made_set(settings_for(tmp_path, *settings.sources, licences={"kitchen": "CC0-1.0"}), store)
+    described = mlcroissant.Dataset(jsonld=tmp_path / "set/croissant.json")
+    assert not described.metadata.ctx.issues.errors
+    rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
+    records = [
+        {
+            name.removeprefix("samples/"): value.decode() if isinstance(value, bytes) else value
+            for name, value in record.items()
+        }
+        for record in described.records("samples")
+    ]
+    assert records == rows
+    assert {row["clip"]: row["licence"] for row in rows}["kitchen"] == "CC0-1.0"
+    assert described.metadata.license == ["CC0-1.0", "unknown"]
+    files = {file.name: file.sha256 for file in described.metadata.distribution}
+    assert files == {name: file_sha256(tmp_path / "set" / name) for name in files}
+    assert set(files) == {"index.parquet", *(row["shard"] for row in rows)}
+    assert "| kitchen | CC0-1.0 | 1 |" in card(tmp_path)
+    assert "licence of `chunks` is unknown" in card(tmp_path)
+    with pytest.raises(InputError, match=r"licences: found 'kitchn'.*did you mean"):
+        made_set(settings_for(tmp_path, *settings.sources, licences={"kitchn": "MIT"}), store)
+
+
+def test_a_purged_clip_is_gone_from_store_set_and_chunks(output, tmp_path, slg):
+    folder, _, settings, _ = output
+    for name in ("set", "store", "chunks"):
+        shutil.copytree(folder / name, tmp_path / name)
+    store = ArtifactStore(tmp_path / "store")
+    models = Versions(tmp_path / "models")
+    for clip in ("procedural_1", "procedural_0"):
+        models.add(clip[-1:].encode(), {"saw": [mark_clip(clip)]}, False, "a test")
+    models.add(b"later", {"saw": []}, False, "a test", models.version(1))
+    models.add(b"silent", {}, False, "a test")
+    places = [tmp_path / name for name in ("set", "chunks")]
+    command = ["store", "purge", "--store", store.root, "--models", models.folder]
+    command += [word for place in places for word in ("--set", place)]
+    before = files_below(tmp_path)
+    status, listing, _ = slg(*command, "--place", "https://video/1")
+    assert status == 0 and "nothing was removed" in listing
+    assert files_below(tmp_path) == before and "  example/" in listing
+    weights = [line for line in listing.splitlines() if line.startswith(f"{models.folder}: v")]
+    assert [line.partition(": ")[2] for line in weights] == [
+        "version 1 was trained on them",
+        "version 3 was trained on them",
+        "version 4 does not say what it was trained on",
+    ]
+    (tmp_path / "set/notes.txt").write_text("look at procedural_1 again, not at procedural_10")
+    status, out, _ = slg(*command, "--clip", "procedural_1", "--yes")
+    assert status == 1 and [line for line in out.splitlines() if line.startswith("  ")] == [
+        f"  {tmp_path}/set/notes.txt"
+    ]
+    (tmp_path / "set/notes.txt").unlink()
+    assert slg(*command, "--clip", "procedural_1")[0] == 0
+    # Independently of the command: no text, and no picture of the clip, in any file.
+    (clip,) = re10k.read_chunk(folder / "chunks/000001.torch")
+    scenes = {str(store.get(ref)["scene"]) for ref in refs_of(store, "sample")}
+    assert {name[:-10] for name in scenes} >= {"kitchen", "procedural_0"}
+    assert not [name for name in scenes if name.startswith("procedural_1_")]
+    for spec in ("sample", "gaussians", "bank", "example"):
+        assert len(refs_of(store, spec)) < len(refs_of(ArtifactStore(folder / "store"), spec))
+    for name, data in files_below(tmp_path).items():
+        assert b"procedural_1" not in data and not any(image in data for image in clip.images), name
+    rows = TrainingSet(tmp_path / "set").rows.to_pylist()
+    assert {row["clip"] for row in rows} == {"kitchen", "procedural_0"}
+    last = manifests(tmp_path)[-1]
+    assert last["went"] == {"(withdrawn)": {"samples": 1, "why": "withdrawn"}}
+    assert list(re10k.read_index(tmp_path / "chunks")) == ["procedural_0"]
+    # What others need is still there: nothing of them is computed again.
+    kept = {file.uri for files in store.walk(["keys"]) for file in files}
+    made_set(settings_for(tmp_path, tmp_path / "chunks", settings.sources[1]), store)
+    assert kept <= {file.uri for files in store.walk(["keys"]) for file in files}
+
+
+def refs_of(store: ArtifactStore, spec: str) -> list:
+    return [ref_of(file.uri) for files in store.walk([spec]) for file in files]
 
 
 def test_a_bad_scene_costs_itself_alone(output, tmp_path):
@@ -207,7 +352,7 @@ def test_a_bad_scene_costs_itself_alone(output, tmp_path):
     assert set(reason) == {"bad", "few"} and "transforms.json" in reason["bad"]
     assert "too few for a sample" in reason["few"]
     card = " ".join((tmp_path / "set/README.md").read_text().split())
-    assert "# 3 samples of 3 places" in card and "The splits have 3 test samples." in card
+    assert "# 3 samples of 3 places" in card and "| test | 3 | 3 | 3 |" in card
     assert "2 frames, clips and samples were refused;" in card
     assert str(tmp_path) not in card
     with pytest.raises(InputError, match="no sample is left of the sources; the reasons are in"):

@@ -160,4 +160,4 @@ def test_all_products_have_the_same_labels_and_none_where_a_photograph_is_transp
     (clip,) = re10k.read_chunk(tmp_path / "ingest/chunks/000000.torch")
     assert all(np.array_equal(view.opaque, OPAQUE) for view in map(clip.view, range(5)))
     card = " ".join((tmp_path / "dataset/README.md").read_text().split())
-    assert "Photographs of 1 sample are transparent in part." in card
+    assert "Transparent pixels of photographs are black" in card
