@@ -2,6 +2,7 @@
 
 import base64
 import re
+from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -55,6 +56,9 @@ def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):
     # Ours is the first: the smaller error in both, below in an SVG as y points down.
     assert scene[0][0] < scene[1][0] and query[0][0] > query[1][0]
     assert scene[0][1] > scene[1][1] and query[0][1] > query[1][1]
+
+    untimed = [Cost(name, "slgaussian"), Cost(name, other)]
+    speed_blocks(replace(times, costs=untimed), rows, [])  # no time, and so no figure
 
 
 def points_of(source: str) -> list[tuple[float, ...]]:

@@ -120,6 +120,7 @@ def _scores_by_cost(
                 f"{label}, by {axis}",
             )
             for kind, axis in FIGURES.items()
+            if points[kind]
         ]
         blocks.append(model.Gallery(pictures, "grid plots"))
     return blocks
