@@ -154,9 +154,9 @@ def main() -> None:
     arguments.add_argument("--scenes", type=int, nargs="*", default=[100, 1000, 10000])
     args = arguments.parse_args()
     work = args.work.resolve()
-    prepare(work / "server")
     server = LocalServer(work / "server")
-    os.environ["PREFECT_API_URL"] = server.url
+    os.environ["PREFECT_API_URL"] = server.url  # first, so that logs are sent to it too
+    prepare(work / "server")
     server.start()
     try:
         server.wait()

@@ -7,9 +7,11 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from prefect.settings.models.server.services import ServerServicesDBVacuumSettings
 from process_family import LOOPBACK, PROC, listening
 
 from flows.runners import server as local
@@ -71,3 +73,13 @@ print("went on")
     stopped = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (stopped.returncode, stopped.stdout) == (-sign, "cleaned\n")
     assert stopped.stderr == "\nstopped; the same command goes on from here\n"
+
+
+def test_the_retention_of_runs_in_the_guide_is_one_that_prefect_applies(monkeypatch):
+    guide = (Path(__file__).parents[2] / "docs/guides/operations.md").read_text("utf-8")
+    (given,) = re.findall(r"prefect config set (PREFECT_SERVER_SERVICES_DB_VACUUM\S+ \S+)", guide)
+    for setting in given.split():
+        monkeypatch.setenv(*setting.split("="))
+    vacuum = ServerServicesDBVacuumSettings()
+    assert vacuum.enabled_vacuum_types == {"events", "flow_runs", "orphans"}
+    assert vacuum.retention_period == timedelta(days=30)
