@@ -39,7 +39,7 @@ def apply_automations(automations: Sequence[Mapping[str, Any]], url: str) -> lis
             for action in automation["actions"]:
                 rest = {key: value for key, value in action.items() if key != "block"}
                 if "block" in action:
-                    block = Webhook(url=url, headers=headers)  # type: ignore[arg-type]
+                    block = Webhook(url=url, headers=headers)
                     rest["block_document_id"] = block.save(action["block"], overwrite=True)
                 actions.append(rest)
             core = AutomationCore.model_validate({**automation, "actions": actions})

@@ -146,7 +146,8 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
     ]
     leaking = [Failure(c, "split", "InputError", why) for c, why in split.left_out.items()]
     failures = clips.failures + outcome.failures + leaking
-    write_failures(config.out, failures)
+    with writing(config.out):
+        write_failures(config.out, failures)
     if not finished:
         raise InputError(
             f"{config.out}: no sample is left of the sources; the reasons are in "

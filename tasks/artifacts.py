@@ -244,7 +244,7 @@ def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], rle.RunLengths]
     keys = [tuple(names) for names in arrays["prediction_names"].tolist()]
     counts = _unpack(arrays["prediction_ends"], arrays["prediction_counts"])
     sizes = arrays["prediction_sizes"].tolist()
-    masks = (rle.RunLengths(*size, c.decode()) for size, c in zip(sizes, counts, strict=True))
+    masks = (rle.RunLengths(h, w, c.decode()) for (h, w), c in zip(sizes, counts, strict=True))
     return dict(zip(keys, masks, strict=True))
 
 

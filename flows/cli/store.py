@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -66,19 +66,19 @@ def inspect(
         return
     from slgaussian.storage import inspection
 
-    files = inspection.inspect(path)
+    walked, files = inspection.inspect(path), list[Mapping[str, Any]]()
     if as_json:
-        files = list(files)
+        files = [*walked]
         typer.echo(json.dumps(files, indent=1, ensure_ascii=False))
     elif inspection.is_store(path):
-        counts, files = inspection.summarize(files)
+        counts, files = inspection.summarize(walked)
         typer.echo("\n".join(counts))
         for file in files[:MAX_NAMED]:
             typer.echo(f"BAD  {file['problem']}")
         if rest := len(files[MAX_NAMED:]):
             typer.echo(f"and {rest} more; --json names them")
     else:
-        files = list(files)
+        files = [*walked]
         for file in files:
             state = "BAD" if file["problem"] else file["spec"]
             typer.echo(f"{file['path']}: {state} {file['digest'][:12]}")

@@ -155,7 +155,7 @@ def run_batch(label: str, pickled: bytes) -> State[list[SceneResult]]:
     store, enclosing = ArtifactStore(root), enclosing_run()
     events: list[StageEvent] = []
     computed: set[str] = set()
-    results = []
+    results: list[SceneResult] = []
 
     def notify(event: StageEvent) -> None:
         if event.state in ("completed", "failed"):

@@ -161,7 +161,7 @@ def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
 
     RESULTS.clear()
     try:
-        state = flow(*arguments, return_state=True)
+        state: Any = flow(*arguments, return_state=True)
         return RESULTS[0] if RESULTS else state.result()
     except HTTPError as error:
         url, home = redacted(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]

@@ -76,7 +76,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
         while True:
             try:
                 result = work(store)
-                if message := log_results(command, config.out):
+                if message := log_results(command, config.out, getattr(config, "models", None)):
                     logger.warning(message)
                     print(f"warning: {message}", file=sys.stderr)
                 return result
@@ -142,7 +142,7 @@ def _close_tasks() -> None:
                 ),
             )
             for task_run in open_tasks:
-                state = Cancelled(message="the run was stopped")
+                state: State[Any] = Cancelled(message="the run was stopped")
                 client.set_task_run_state(task_run.id, state, force=True)
     except Exception as error:  # the server may have stopped too
         logger.warning("the tasks of the run stay open on the server: %s", error)
@@ -167,7 +167,7 @@ def final(state: State[Result]) -> State[Result]:
     """Record the result of a final state; one that is not Completed then raises its message."""
     RESULTS[:] = [state.data]
     if not state.is_completed():
-        state.data = SLGaussianError(state.message)
+        state.data = SLGaussianError(state.message or "")
     return state
 
 

@@ -348,7 +348,9 @@ class _Entry(BaseModel):
     point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
     def read(self, place: str, height: int, width: int) -> np.ndarray:
-        mask = _decode(rle.RunLengths(*self.size, self.counts), place, height, width)
+        mask = _decode(
+            rle.RunLengths(self.size[0], self.size[1], self.counts), place, height, width
+        )
         x, y = self.point or (0.0, 0.0)
         # In the first pixel only a mask there confirms that these are not fractions.
         is_fraction = 0 < max(x, y) <= 1 and mask.any() and not mask[:2, :2].any()

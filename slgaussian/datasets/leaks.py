@@ -52,7 +52,8 @@ def check_pictures(pictures: Sequence[Picture], source: str) -> None:
     """
     by_digest: dict[str, Picture] = {}
     signatures = stack_signatures([picture.signature for picture in pictures])
-    for picture, shows_something in zip(pictures, normalise(signatures).any(1), strict=True):
+    shown = np.atleast_1d(normalise(signatures).any(1))
+    for picture, shows_something in zip(pictures, shown, strict=True):
         if not shows_something:
             continue
         other = by_digest.setdefault(picture.digest, picture)

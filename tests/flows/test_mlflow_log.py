@@ -10,6 +10,7 @@ from command import ROOM, score
 
 from flows.read_config import make_settings
 from slgaussian.benchmark.mlflow_log import URI, log_results
+from slgaussian.benchmark.retrainings import History
 from slgaussian.storage.store import ArtifactStore
 
 mlflow = pytest.importorskip("mlflow", reason="needs the extra mlflow")
@@ -55,12 +56,13 @@ def test_a_run_is_logged_with_settings_scores_and_report(tracking, tmp_path):
 
 
 def test_a_retraining_is_logged_by_its_numbers_and_outcome(tracking, tmp_path):
-    facts = {"outcome": "promoted", "version": 2, "scores": {"branch": 0.5}, "messages": ["1.2.3"]}
-    (tmp_path / "retraining.json").write_text(json.dumps(facts))
+    history = History(tmp_path)
+    history.add({"outcome": "refused", "reason": "a", "seconds": 1.0})
+    history.add({"outcome": "promoted", "reason": "b", "version": 2, "seconds": 2.0})
     assert log_results("supervise", tmp_path) == ""
-    assert log_results("retrain", tmp_path) == ""
+    assert log_results("retrain", tmp_path, tmp_path) == ""
     (run,) = runs_in(tracking)
-    assert run.data.metrics == {"version": 2, "scores.branch": 0.5}
+    assert run.data.metrics == {"version": 2, "seconds": 2.0}
     assert run.data.tags["outcome"] == "promoted"
 
 
