@@ -36,7 +36,7 @@ def encode(mask: np.ndarray) -> RunLengths:
     flat = np.asarray(mask, bool).ravel(order="F")
     changes = np.flatnonzero(np.diff(flat, prepend=False))
     values = np.diff(changes, prepend=0, append=flat.size)
-    values[3:] -= values[1:-2].copy()
+    values[3:] -= values[1:-2]
     groups, written, unfinished = [], [], np.ones(len(values), bool)
     while unfinished.any():
         low, values = values & 31, values >> 5
