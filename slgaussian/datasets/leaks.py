@@ -70,8 +70,7 @@ def check_pictures(pictures: Sequence[Picture], source: str) -> None:
 def _refuse(first: Picture, second: Picture, how: str, source: str) -> None:
     raise InputError(
         f"{source}: {first.name} ({first.side}) and {second.name} ({second.side}) {how}, so the "
-        "split leaks; nothing was written: give both clips one place by PLACE=SOURCE, or withdraw "
-        "one"
+        "split leaks and is not written; give both clips one place by PLACE=SOURCE, or withdraw one"
     )
 
 

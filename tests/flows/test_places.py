@@ -128,9 +128,7 @@ def test_no_picture_is_in_both_splits_of_a_set_that_grows(corpus, tmp_path, slg)
     assert len(same) > 3
 
 
-def test_a_set_that_leaks_is_refused_and_stays_as_it_was(
-    corpus, tmp_path, refusal, slg, monkeypatch
-):
+def test_a_set_that_leaks_is_refused_and_stays_as_it_was(corpus, tmp_path, slg, monkeypatch):
     out = tmp_path / "set"
     words = ("--targets", "1", "--held-out", "0.4", "--store", tmp_path / "store", *SMALL)
     assert slg("dataset", out, corpus / "rooms", *words)[0] == 0
@@ -140,6 +138,6 @@ def test_a_set_that_leaks_is_refused_and_stays_as_it_was(
     # The plan is blind, the check is not.
     monkeypatch.setattr(scene_grouping, "find_copies", lambda *arguments: ())
     monkeypatch.setattr(scene_grouping, "MIN_EQUAL_CAMERAS", 99)
-    error = refusal("dataset", out, corpus / "rooms", corpus / "copies", *words)
-    assert "so the split leaks; nothing was written" in error and "PLACE=SOURCE" in error
+    status, _, errors = slg("dataset", out, corpus / "rooms", corpus / "copies", *words)
+    assert status == 2 and "so the split leaks and is not written; give" in errors
     assert files_below(out) == before
