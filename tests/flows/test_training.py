@@ -86,7 +86,7 @@ def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
 
 
 def noise(name: str) -> np.ndarray:
-    return np.random.default_rng(sum(name.encode())).integers(40, 200, 256).astype(np.uint8)
+    return np.random.default_rng(list(name.encode())).integers(40, 200, 256).astype(np.uint8)
 
 
 def write_views(file: Path, greys: dict[str, np.ndarray]) -> None:
