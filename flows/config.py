@@ -339,7 +339,7 @@ class RetrainSettings(Training, CorpusSettings):
 _GROUPS: dict[str, Sequence[str]] = {
     "Run": ("sources", "lessons", "data", "scenes", "rooms", "out", "preset", "models", "start",
             "against", "sweep", "method", "format", "pairs", "labels", "targets", "images",
-            "shard_mb", "held_out", "withdrawn"),
+            "shard_mb", "held_out", "withdrawn", "licences", "keep_old_days"),
     "Samples": tuple(Bounds.model_fields),
     "Training": (*TrainingConfig.model_fields, "widths", "hidden"),
     "Method": ("size", "near", "far", "trust_cameras", *BuildConfig.model_fields),

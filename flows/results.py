@@ -32,7 +32,7 @@ from tasks.stage import Stage
 FIELDS = "fields"
 """Folder of the fields, and their table."""
 
-OMITTED = {"store", "runner", "workers", "refresh", "out",
+OMITTED = {"store", "runner", "workers", "refresh", "only_missing", "out",
            "data", "format", "pairs", "labels", "rooms"}  # fmt: skip
 """Settings without effect on results, and those of scenes, which ``run.toml`` lists."""
 

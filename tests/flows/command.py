@@ -42,8 +42,9 @@ def settings(**values: object) -> list[str]:
 def score(settings, store, verbose: bool = False):
     """Run the flow of ``slgaussian run`` with settings and a store."""
     from flows.benchmark import score_scenes
+    from flows.runners.environment import call_flow
 
-    return score_scenes(settings.model_copy(update={"store": store.root}), verbose)
+    return call_flow(score_scenes, settings.model_copy(update={"store": store.root}), verbose)
 
 
 def said(capsys) -> str:

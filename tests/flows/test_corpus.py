@@ -17,6 +17,7 @@ from flows import clip_sources, corpus
 from flows.clip_sources import sources_of
 from flows.config import CorpusSettings
 from flows.read_config import make_settings
+from flows.runners.environment import call_flow
 from slgaussian import datasets
 from slgaussian.components.component import Component
 from slgaussian.datasets import re10k
@@ -51,7 +52,7 @@ def settings_for(folder: Path, **extra):
 
 def run_flow(command: str, settings, store: ArtifactStore) -> corpus.Prepared:
     flow = {"ingest": corpus.ingest_corpus, "supervise": corpus.supervise_corpus}[command]
-    return flow(settings.model_copy(update={"store": store.root}))
+    return call_flow(flow, settings.model_copy(update={"store": store.root}))
 
 
 def table(folder: Path, name: str) -> list[dict]:

@@ -55,7 +55,7 @@ def test_a_bucket_whose_server_has_a_bad_day(
     s3fs = pytest.importorskip("s3fs")
     calm, log = ArtifactStore(tmp_path / "calm"), tmp_path / "log"
     run_tiny(calm, three_scenes(log))
-    weather = BadWeather(s3_server, 0.2, hang=1.5)
+    weather = BadWeather(s3_server, 0.3, hang=1.5)
     monkeypatch.setenv("AWS_ENDPOINT_URL", weather.url)
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
     monkeypatch.setattr(remote, "READ_TIMEOUT", 1)

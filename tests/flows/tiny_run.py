@@ -5,7 +5,6 @@ import math
 import sys
 from pathlib import Path
 
-from flows.runners.progress import Progress
 from slgaussian.storage.store import ArtifactStore
 
 
@@ -20,7 +19,7 @@ def run_tiny(
     workers: int = 2,
     stream=None,
     runner: str = "threads",
-    progress: Progress | None = None,
+    progress=None,
     refresh: tuple[str, ...] = (),
     max_failures: float = math.inf,
 ):
@@ -29,6 +28,7 @@ def run_tiny(
 
     from flows.runners.batches import SceneTask, map_scenes
     from flows.runners.environment import call_flow
+    from flows.runners.progress import Progress
     from flows.runners.task_runners import open_workers
 
     progress = progress or Progress(len(scenes), 3, stream=stream or io.StringIO())

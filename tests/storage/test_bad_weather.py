@@ -83,4 +83,4 @@ def test_full_and_failing_servers_are_explained(faulty_store, monkeypatch):
         InputError, match=r"cannot read there \((Service Unavailable|.*request rate)"
     ):
         store.get(ref)
-    assert proxy.met["503 slow down"] == 2
+    assert proxy.met["503 slow down"] == 10  # two attempts of botocore in each of five of s3fs
