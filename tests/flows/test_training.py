@@ -245,6 +245,25 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
+def test_three_nights_promote_refuse_and_are_rolled_back(tmp_path, slg):
+    """Lessons in which the branch can win; the second night trains too little to be better."""
+    from flows.retraining import learn
+
+    store, versions, nights = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models"), []
+    for clips, steps in ((20, 30), (26, 2), (32, 200)):
+        settings = retrain_settings(tmp_path, steps=steps, rate=0.02)
+        night = learn(lessons_of(tmp_path, range(clips), holed=True), settings, store)
+        nights.append(night.version)
+    assert [night.promoted for night in nights] == [True, False, True]
+    assert versions.current().number == 3
+    sides = read_split(tmp_path / "models")
+    assert len({row["clip"] for row in sides}) == len(sides) == 32
+    status, _, _ = slg("versions", tmp_path / "models", "--use", "1")
+    assert status == 0 and versions.current().number == 1
+    for night in nights:  # shown by -rP
+        print(night.number, night.facts["counts"], night.facts["scores"]["iou"], night.why)
+
+
 def test_versions_are_listed_and_put_to_use(tmp_path, slg, refusal):
     versions = Versions(tmp_path / "models")
     for _ in range(2):
