@@ -190,7 +190,8 @@ def purge(
     from slgaussian.datasets import purge as purging
     from slgaussian.semantic.versions import Versions
 
-    for folder in [*sets, *models]:
+    folders = [*sets, *models]
+    for folder in folders:
         if not folder.is_dir():
             raise InputError(f"{folder}: found no folder, expected one of results")
     clips = {*clip, *purging.find_clips(place, sets)}
@@ -201,18 +202,10 @@ def purge(
         for other in sorted(traces.clips - clips):
             typer.echo(f"{other}: has the same photographs, and counts as withdrawn too")
         if yes:
-            marked = purging.search_store(opened, traces)[1]
-            opened.remove(purging.find_derived_files(opened, marked))
-            for folder in [*sets, *models]:
-                purging.purge_folder(folder, traces)
-        count, left = purging.search_store(opened, traces)
-        left |= set(purging.find_derived_files(opened, left))
-    places = {opened.root: (count, sorted(left))}
-    for folder in [*sets, *models]:
-        count, traced = purging.search_folder(folder, traces)
-        places[str(folder)] = count, list(map(str, traced))
-    for name, (count, files) in places.items():
-        typer.echo(f"{name}: {count} files searched, {len(files)} have to do with the clips")
+            purging.remove_traces(traces, opened, folders)
+        searches = purging.search_all(traces, opened, folders)
+    for where, count, files in searches:
+        typer.echo(f"{where}: {count} files searched, {len(files)} have to do with the clips")
         for file in files:
             typer.echo(f"  {file}")
     for folder in models:
@@ -221,7 +214,7 @@ def purge(
             typer.echo(f"{folder}: version {version.number} was trained on them")
         for version in silent:
             typer.echo(f"{folder}: version {version.number} does not say what it was trained on")
-    is_left = any(files for _, files in places.values())
+    is_left = any(files for _, _, files in searches)
     if is_left:
         typer.echo("they are left" if yes else "nothing was removed: give --yes to do it")
     elif not yes:

@@ -143,6 +143,29 @@ def find_traces(clips: Collection[str], store: ArtifactStore, folders: Sequence[
     return Traces(frozenset(names), frozenset(photographs))
 
 
+def remove_traces(traces: Traces, store: ArtifactStore, folders: Sequence[Path]) -> None:
+    """Remove clips from a store, with what was computed from them, and from folders of results.
+
+    Raises:
+        InputError: As :func:`purge_folder`.
+    """
+    store.remove(find_derived_files(store, search_store(store, traces)[1]))
+    for folder in folders:
+        purge_folder(folder, traces)
+
+
+def search_all(
+    traces: Traces, store: ArtifactStore, folders: Sequence[Path]
+) -> list[tuple[str, int, list[str]]]:
+    """Return for a store and each folder the number of files, and those that clips led to."""
+    count, left = search_store(store, traces)
+    result = [(store.root, count, sorted({*left, *find_derived_files(store, left)}))]
+    for folder in folders:
+        count, traced = search_folder(folder, traces)
+        result.append((str(folder), count, [str(file) for file in traced]))
+    return result
+
+
 def search_store(store: ArtifactStore, traces: Traces) -> tuple[int, set[str]]:
     """Search all files of a store; return their number, and the paths of those with traces."""
     uris = [file.uri for files in store.walk() for file in files]
