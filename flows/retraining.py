@@ -206,9 +206,9 @@ def learn(
     decision = gate(judgements, rivals)
     means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
-    saw = sorted(map(mark_clip, lessons.learnt["clip"].unique().to_pylist()))
-    facts = {"asked": requested, "counts": lessons.counts(), "scores": scores, "saw": saw}
-    facts["split"] = split.digest
+    learnt_clips = sorted(map(mark_clip, lessons.learnt["clip"].unique().to_pylist()))
+    facts: dict[str, Any] = {"asked": requested, "counts": lessons.counts(), "scores": scores}
+    facts |= {"learnt_clips": learnt_clips, "split": split.digest}
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     if added.promoted:
         return Learnt(f"version {added.number} promoted: {added.why}", added, split)

@@ -62,7 +62,7 @@ def inspect(
         elif as_json:
             typer.echo(json.dumps(traced, indent=1, ensure_ascii=False))
         else:
-            typer.echo("\n".join(lineage.lines(traced)))
+            typer.echo("\n".join(lineage.format_trace(traced)))
         return
     from slgaussian.storage import inspection
 

@@ -128,7 +128,7 @@ def _files(artifact: Row) -> Iterator[Row]:
             yield {"scene": artifact["scene"], "kind": kind, "name": name, "digest": digest}
 
 
-def lines(traced: Mapping[str, Any]) -> Iterator[str]:
+def format_trace(traced: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of a text: numbers, artifacts and files of :func:`trace`."""
     for row in traced["numbers"]:
         scores = (f"{name} {row[name]:.4g}" for name in SCORES if row[name] is not None)

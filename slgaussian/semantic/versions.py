@@ -94,17 +94,17 @@ class Versions:
     def find_trained_on(self, clips: Collection[str]) -> tuple[list[Version], list[Version]]:
         """Return the versions trained on one of the clips, and those that do not say on which.
 
-        A version that training started from has passed on what it saw.
+        A version that training started from has passed on what it learnt.
         """
-        marks, seen, silent = {mark_clip(clip) for clip in clips}, list[Version](), list[Version]()
+        marks = {mark_clip(clip) for clip in clips}
+        trained, silent = list[Version](), list[Version]()
         for version in self.all():
-            if version.parent in {v.number for v in seen} or marks & {
-                *version.facts.get("saw", ())
-            }:
-                seen.append(version)
-            elif version.parent in {v.number for v in silent} or "saw" not in version.facts:
+            learnt = version.facts.get("learnt_clips")
+            if marks & {*(learnt or ())} or version.parent in {v.number for v in trained}:
+                trained.append(version)
+            elif learnt is None or version.parent in {v.number for v in silent}:
                 silent.append(version)
-        return seen, silent
+        return trained, silent
 
     def weights(self, version: Version) -> Path:
         """Return the weights file of a version.
@@ -209,7 +209,7 @@ class Versions:
 
 
 def mark_clip(clip: str) -> str:
-    """Return the mark of a clip in ``facts["saw"]``, so that its name need not stay there."""
+    """Return the mark of a clip in the facts of a version, so that its name need not be there."""
     return hashlib.sha256(clip.encode()).hexdigest()[:16]
 
 

@@ -85,9 +85,9 @@ class Inputs(Config):
             recorded = self.scenes.get(scene, SceneInputs()).named()
             pairs.append((f"scene {scene!r}", recorded, inputs.named()))
             unknown += [] if recorded else [scene]
-        for what, recorded, found in pairs:
-            if recorded and (names := _differing(recorded, found)):
-                digest, expected = (of.get(names[0], "none")[:12] for of in (found, recorded))
+        for what, recorded, actual in pairs:
+            if recorded and (names := _differing(recorded, actual)):
+                digest, expected = (of.get(names[0], "none")[:12] for of in (actual, recorded))
                 rest = f" (and {len(names) - 1} more)" if names[1:] else ""
                 raise InputError(
                     f"{what}: {names[0]}{rest} is not that of the run: found digest {digest}, "

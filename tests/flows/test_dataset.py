@@ -292,8 +292,8 @@ def test_a_purged_clip_is_gone_from_store_set_and_chunks(output, tmp_path, slg):
     store = ArtifactStore(tmp_path / "store")
     models = Versions(tmp_path / "models")
     for clip in ("procedural_1", "procedural_0"):
-        models.add(clip[-1:].encode(), {"saw": [mark_clip(clip)]}, False, "a test")
-    models.add(b"later", {"saw": []}, False, "a test", models.version(1))
+        models.add(clip[-1:].encode(), {"learnt_clips": [mark_clip(clip)]}, False, "a test")
+    models.add(b"later", {"learnt_clips": []}, False, "a test", models.version(1))
     models.add(b"silent", {}, False, "a test")
     places = [tmp_path / name for name in ("set", "chunks")]
     command = ["store", "purge", "--store", store.root, "--models", models.folder]
