@@ -12,9 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from httpx import HTTPError
 from prefect.blocks.webhook import Webhook
 from prefect.client.orchestration import get_client
 from prefect.events.schemas.automations import AutomationCore
+from prefect.settings import PREFECT_API_URL
+
+from slgaussian.storage.remote import redacted
 
 AUTOMATIONS = Path(__file__).with_name("automations.yaml")
 
@@ -54,4 +58,13 @@ def apply_automations(automations: Sequence[Mapping[str, Any]], url: str) -> lis
 if __name__ == "__main__":
     if len(sys.argv) != 2 or "://" not in sys.argv[1]:
         sys.exit("usage: python -m flows.automations URL-OF-A-WEBHOOK")
-    print("\n".join(apply_automations(read_automations(), sys.argv[1])))
+    server = PREFECT_API_URL.value()
+    if server is None:  # Prefect would start a server that ends with this program
+        sys.exit("error: PREFECT_API_URL is not set; set it to the address of your Prefect server")
+    try:
+        print("\n".join(apply_automations(read_automations(), sys.argv[1])))
+    except HTTPError as error:
+        sys.exit(
+            f"error: the Prefect server at {redacted(server)} failed ({error}); start it with "
+            "`prefect server start`, or correct PREFECT_API_URL"
+        )
