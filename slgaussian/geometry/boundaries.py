@@ -55,12 +55,6 @@ def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray
         lab: float32 [H, W, 3]. CIELAB, as :attr:`slgaussian.scene.View.lab`.
         depth: float32 [H, W] or None. Predicted z-depth in scene units, 0 where unknown.
     """
-    strength = _outlines(lab)
-    return strength if depth is None else strength + depth_boundary(depth)
-
-
-def _outlines(lab: np.ndarray) -> np.ndarray:
-    """Compute the boundary strength of a photograph without depth."""
     height, width = lab.shape[:2]
     half_size = (max(width // 2, 1), max(height // 2, 1))
     small = cv2.resize(lab, half_size, interpolation=cv2.INTER_AREA)
@@ -75,7 +69,7 @@ def _outlines(lab: np.ndarray) -> np.ndarray:
     for orientation in range(ORIENTATIONS):
         fused = total[orientation] + cv2.resize(wide[orientation], (width, height))
         np.maximum(strength, cv2.GaussianBlur(fused, (0, 0), 0.8), out=strength)
-    return strength
+    return strength if depth is None else strength + depth_boundary(depth)
 
 
 def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.ndarray:
@@ -87,7 +81,7 @@ def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.nd
         ordered: Whether neighbouring bins are similar, so that histograms are blurred before
             comparison.
     """
-    padded = codes[_mirrored(codes.shape[0], radius)[:, None], _mirrored(codes.shape[1], radius)]
+    padded = np.pad(codes, radius, mode="reflect")
     offsets, starts = _disc(radius, padded.shape[1])
     unit = 4 if ordered else 1  # blurred counts are whole quarters
     half = len(offsets) // 2
@@ -97,12 +91,6 @@ def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.nd
         terms = (p - q) * (p - q) / (p + q)
     terms[0, 0] = 0
     return _half_disc(padded, bins, radius, ordered, offsets, starts, terms.ravel(), len(share))
-
-
-def _mirrored(size: int, reach: int) -> np.ndarray:
-    """Return indices -reach .. size + reach - 1 reflected at the image frame."""
-    index = np.abs(np.arange(-reach, size + reach))
-    return np.where(index < size, index, 2 * size - 2 - index).clip(0, size - 1)
 
 
 def _disc(radius: int, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -154,6 +142,9 @@ def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
     the number in the second, an index into ``terms``, the table of contributions to chi-squared.
     Only bins between the lowest and highest of the disc are visited; a disc of one bin is skipped.
     """
+    # Chi-squared of the histograms p, q of the halves: 1/2 sum (p - q)^2 / (p + q) (Martin et al.
+    # 2004). Counts are small integers, so that each term is looked up in ``terms``, and both
+    # counts of a bin are one number: a pixel that changes sides adds or takes ``side - 1``.
     flat, width = codes.ravel(), codes.shape[1]
     H, W = codes.shape[0] - 2 * radius, width - 2 * radius
     out = np.zeros((ORIENTATIONS, H, W), np.float32)
@@ -178,6 +169,8 @@ def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
             for o in range(ORIENTATIONS):
                 chi = np.float32(0)
                 if ordered:
+                    # Blurred by (1, 2, 1) / 4 over neighbouring bins, the last one repeated beyond
+                    # the end, which both halves of a count undergo at once.
                     counts[0], counts[bins + 1] = counts[1], counts[bins]
                     for b in range(max(low - unit, unit), min(high + unit, np.uintp(bins)) + unit):
                         blurred = counts[b - unit] + 2 * counts[b] + counts[b + unit]

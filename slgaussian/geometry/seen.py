@@ -130,23 +130,25 @@ class SceneGeometry:
 
         Two bool [H, W].
         """
-        inside, pixels, z = self._projected(first, second)
-        column, row = pixels.astype(np.int64).transpose(2, 0, 1)
-        observed = self.depths[second][row, column]
+        inside, _, z, observed = self._project(first, second)
         return inside, inside & (observed > 0) & (
             np.abs(z - observed) <= DEPTH_TOLERANCE * observed
         )
 
-    def _projected(self, first: int, second: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return which pixels of view ``first`` are inside view ``second``, where, and how deep.
+    def _project(self, first: int, second: int) -> tuple[np.ndarray, ...]:
+        """Project the pixels of view ``first`` into view ``second``.
 
-        bool [H, W], float64 [H, W, 2], 0 for pixels outside, and float64 [H, W].
+        Returns:
+            bool [H, W], float64 [H, W, 2], float64 [H, W], float32 [H, W]: Mask of those inside,
+                pixels, 0 outside, their depth, and the depth that the second view has there.
         """
         depth, target = self.depths[first], self.views[second].camera
         pixels, z = target.project(self.views[first].camera.unproject(depth))
         inside = (depth > 0) & target.shows(pixels, z)
         pixels[~inside] = 0
-        return inside, pixels, z
+        # Of float64: float32 may round up to the width.
+        column, row = pixels.astype(np.int64).transpose(2, 0, 1)
+        return inside, pixels, z, self.depths[second][row, column]
 
     def clash(self, first: int, second: int) -> float:
         """Return the share of visible pixels of view ``first`` with another colour in ``second``.
@@ -156,11 +158,9 @@ class SceneGeometry:
         :data:`CLASH_DISTANCE`, an object moved or the depth is wrong. 0 if there are no such
         pixels.
         """
-        inside, pixels, z = self._projected(first, second)
+        inside, pixels, z, observed = self._project(first, second)
         u, v = pixels.astype(np.float32).transpose(2, 0, 1)
-        # Not of float32, which may round up to the width.
-        column, row = pixels.astype(np.int64).transpose(2, 0, 1)
-        visible = inside & (z <= (1 + DEPTH_TOLERANCE) * self.depths[second][row, column])
+        visible = inside & (z <= (1 + DEPTH_TOLERANCE) * observed)
         if not visible.any():
             return 0.0
         lab, target_lab = (

@@ -73,10 +73,6 @@ def _float_operands(a: types.Type, b: types.Type) -> bool:
     )
 
 
-def _compare(sign, builder, a, b):
-    return builder.fcmp_ordered(sign, a, b)
-
-
 def _install(function, emit, applies, mask=False):
     """Implement the operator ``function`` for vectors.
 
@@ -126,14 +122,16 @@ for _operator, _emit in {
 for _operator, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
 ):  # fmt: skip
-    _install(_operator, partial(_compare, _sign), _float_operands, mask=True)
+    _emit = partial(lambda sign, builder, a, b: builder.fcmp_ordered(sign, a, b), _sign)
+    _install(_operator, _emit, _float_operands, mask=True)
 _install(operator.and_, lambda builder, a, b: builder.and_(a, b), lambda a, b: a == b == _MASK)
 
 
-def _address(context, builder, array_type, array, index):
+def _address(context, builder, array_type, array, index, target=None):
+    """Return a pointer to an element, for access as ``target``, by default a vector."""
     data = context.make_array(array_type)(context, builder, array).data
-    vector = ir.VectorType(_LLVM[array_type.dtype], LANES)
-    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+    target = target or ir.VectorType(_LLVM[array_type.dtype], LANES)
+    return builder.bitcast(builder.gep(data, [index]), target.as_pointer())
 
 
 @intrinsic
@@ -141,7 +139,7 @@ def vload(typing, array, index):
     """Return the vector at ``array[index : index + LANES]``; ``array`` is 1-D and contiguous."""
 
     def lower(context, builder, signature, args):
-        value = builder.load(_address(context, builder, signature.args[0], args[0], args[1]))
+        value = builder.load(_address(context, builder, array, *args))
         value.align = array.dtype.bitwidth // 8
         return value
 
@@ -153,7 +151,7 @@ def vstore(typing, array, index, vector):
     """Write ``vector`` to ``array[index : index + LANES]``."""
 
     def lower(context, builder, signature, args):
-        place = _address(context, builder, signature.args[0], args[0], args[1])
+        place = _address(context, builder, array, *args[:2])
         builder.store(args[2], place).align = array.dtype.bitwidth // 8
         return context.get_dummy_value()
 
@@ -165,8 +163,7 @@ def prefetch(typing, array, index):
     """Prefetch the cache line of element ``index`` of a contiguous ``array``."""
 
     def lower(context, builder, signature, args):
-        data = context.make_array(array)(context, builder, args[0]).data
-        place = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
+        place = _address(context, builder, array, *args, ir.IntType(8))
         kind = ir.FunctionType(ir.VoidType(), [place.type, _INT32, _INT32, _INT32])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
         builder.call(function, [place, _INT32(0), _INT32(3), _INT32(1)])
@@ -261,11 +258,11 @@ def _split(builder, value):
     return bits, builder.ashr(above, ir.Constant(_INTS, [23] * LANES))
 
 
-def _exponent_of(builder, value):
+def _emit_exponent(builder, value):
     return builder.sitofp(_split(builder, value)[1], value.type)
 
 
-def _mantissa_of(builder, value):
+def _emit_mantissa(builder, value):
     bits, exponent = _split(builder, value)
     shifted = builder.shl(exponent, ir.Constant(_INTS, [23] * LANES))
     return builder.bitcast(builder.sub(bits, shifted), value.type)
@@ -284,7 +281,7 @@ vsqrt, vfloor, vceil, vabs, _exponent, _mantissa = (
     _unary(lambda vector: vector, emit)
     for emit in (
         partial(_call, "sqrt"), partial(_call, "floor"), partial(_call, "ceil"),
-        partial(_call, "fabs"), _exponent_of, _mantissa_of,
+        partial(_call, "fabs"), _emit_exponent, _emit_mantissa,
     )
 )  # fmt: skip
 
@@ -317,6 +314,8 @@ def vexp2(x):
     Relative error 1.5e-7: a polynomial of degree 5 on [-1/2, 1/2] (minimax, 9.1e-8, and exact at
     0) and a shift.
     """
+    # x = n + t with n the nearest integer: 2^t by the polynomial, 2^n by adding n to the exponent's
+    # bits. Adding MAGIC rounds x to n in its last bits, without a conversion to integers.
     x = vwhere(x > np.float32(-100), x, np.float32(-100))
     magic = x + MAGIC
     t = x - (magic - MAGIC)
@@ -334,6 +333,8 @@ def vlog2(x):
 
     Relative error 2e-7, near 1 too: the series of the inverse hyperbolic tangent.
     """
+    # log2 m = 2 / ln 2 artanh s with s = (m - 1) / (m + 1): s is exact near m = 1, where a
+    # polynomial in m - 1 of float32 would lose digits, and |s| < 0.172 needs five terms.
     m = _mantissa(x)  # in [sqrt(1/2), sqrt(2))
     s = (m - np.float32(1)) / (m + np.float32(1))
     q = s * s

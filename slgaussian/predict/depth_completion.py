@@ -17,32 +17,44 @@ UNSEEN, AGREES, IN_FRONT, BEHIND = range(4)
 """Results of a cross-view check: outside the source image; the same surface; in front of the
 source's surface, in its free space; behind the source's surface, occluded."""
 
+# The constants of this file were chosen together, on the sets of which docs/measured/results.md
+# says so, by the error of depth and of new views (python -m benches.predict.novel_view_error DATA).
+# No page measures one of them alone; where a reason is known, it stands with the constant.
+
+# Two views agree if their inverse depths differ by less than the larger of both: a share of the
+# inverse depth, for errors of the cameras, which grow with it, and a number of candidate steps, as
+# neither view is known better than its candidates.
 RELATIVE_TOLERANCE = 0.04
 STEP_TOLERANCE = 1.5
-"""Tolerance between inverse depths of two views: the larger of a share of the depth and this many
-candidate steps."""
 
 MAX_PLANES = 8
+"""Largest number of planes of a view; each is a label of the Potts model, which takes its time."""
 MIN_SUPPORT = 0.01
+"""Smallest share of the answered pixels on a plane; below it, a plane fits what noise has left."""
 SQUARE_SIDES = (8, 16, 32)
+"""Sides of the squares that provide hypotheses, pixels: small ones lie on one surface, large ones
+have the less noisy slopes."""
 SCORING_PIXELS = 4000
+"""Approximate number of answered pixels, taken evenly, that score hypotheses and refit planes."""
 REFITTED_PLANES = 10
+"""Number of refitted hypotheses: the best square need not grow into the best plane."""
 REFITS = 15
-"""Largest number of planes; smallest share of answered pixels on one; sides in pixels of the
-squares that provide hypotheses; approximate number of pixels that score them; number of best
-hypotheses that are refitted, and number of refits."""
+"""Number of refits of a hypothesis to its inliers, which change with it."""
 
 MEDIAN_RADIUS = 7
+"""Half the side of the window of the weighted median, pixels."""
 MEDIAN_COLOR = 40.0
-"""Half the window of the weighted median, pixels, and the standard deviation of its colour weight
-(sum of absolute differences over RGB, 0 to 765)."""
+"""Standard deviation of the colour weight: sum of absolute differences over RGB, 0 to 765."""
 
-POTTS_COST = 200
+# Costs of semi-global matching are bytes. An answered pixel costs 0 on its plane and 100 where its
+# plane is SATURATION_STEPS candidate steps off or more, which bounds what an outlier can cost.
 SATURATION_STEPS = 3
+POTTS_COST = 200
+"""Cost of a change of plane label in a uniform part of the image: that of two outliers. Aggregation
+lowers it at steps of grey, where surfaces end."""
 FREE_SPACE_COST = 30
-"""Cost of a change of plane label in a uniform part of the image; distance from a plane, in
-candidate steps, at which the cost of an answered pixel saturates (100); cost of an unanswered pixel
-on a plane that lies in the free space of another view."""
+"""Cost of an unanswered pixel on a plane that lies in the free space of another view. Below that of
+an outlier, as that view may be wrong too."""
 
 
 def cross_check(
@@ -69,6 +81,10 @@ def cross_check(
 
 @kernel
 def _cross_check(counter, inverse_depth, source_depth, A, e, least_tolerance, out):
+    # A point (u, v) with inverse depth w is seen in the other view at A (u, v, 1) + w e, times its
+    # depth here (A: homography of the plane at infinity, e: epipole; Hartley and Zisserman 2004,
+    # chapter 9). Its third number z is the ratio of both depths, so that the other view has inverse
+    # depth w / z. The nearest pixel is read, not a mean: that of two surfaces lies on neither.
     H, W = inverse_depth.shape
     y = take(counter)
     while y < H:
@@ -95,6 +111,8 @@ def remove_speckles(index: np.ndarray, keep: np.ndarray, size: int) -> np.ndarra
 
     ``index`` float32 [H, W] counts candidates; neighbours within one belong together.
     """
+    # cv2.filterSpeckles takes int16: sixteenths of a candidate, and what is dropped is farther than
+    # one candidate from all others.
     none = -32
     fixed = np.where(keep, np.round(index * 16), none).astype(np.int16)
     cv2.filterSpeckles(fixed, none, size, 16)
@@ -126,6 +144,7 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
         )
         if not len(guesses):
             break
+        # Evenly, not at random, so that the result depends on the photographs alone.
         stride = max(1, len(rows) // SCORING_PIXELS)
         judges = slice(stride // 2, None, stride)
         y, x = rows[judges], columns[judges]
@@ -151,6 +170,8 @@ def _square_planes(
     square = y // size * across + x // size
     numbers = np.arange(square.max() + 1)
     column, row = (numbers % across + 0.5) * size, (numbers // across + 0.5) * size
+    # Relative to the middle of each square: raw moments of pixels far from the origin would lose
+    # their digits in the differences of the normal equations.
     terms = _moments(x - column[square], y - row[square], inverse_depth[y, x].astype(np.float64))
     sums = np.stack([np.bincount(square, term, len(numbers)) for term in terms])
     planes, roundness = _planes_of_moments(sums)
@@ -184,6 +205,8 @@ def _planes_of_moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Also returns determinant over squared trace of the scatter of the points [P]: 0 where they are
     collinear or none, 0.25 in a disc.
     """
+    # Steiner: central moments are those about the origin less count times the product of means.
+    # Then Cramer's rule for the 2x2 system of a and b; c follows from the means.
     count, u, v, w, uu, uv, vv, uw, vw = sums
     mean_u, mean_v, mean_w = (axis / np.maximum(count, 1) for axis in (u, v, w))
     uu, uv, vv = uu - u * mean_u, uv - u * mean_v, vv - v * mean_v
@@ -250,6 +273,8 @@ def fill_depth(
         for level, vote in zip(levels, votes, strict=True):
             verdict = cross_check(level, source_depth, relative, step)
             vote[~keep & (verdict == IN_FRONT)] = FREE_SPACE_COST
+    # With both penalties equal, semi-global matching is a Potts model: planes have no order in
+    # which a step to the next one would be small.
     votes = np.ascontiguousarray(votes.transpose(1, 2, 0))
     label, _, _ = select_winners(aggregate(votes, guide, p1=POTTS_COST, p2=POTTS_COST))
     chosen = np.take_along_axis(levels, label[None].astype(np.int64), 0)[0]
@@ -281,6 +306,8 @@ def weighted_median(
 
 @kernel
 def _weighted_median(counter, values, bins, count, image, weights, radius, out):
+    # A histogram of weights over bins of half a candidate gives the median without sorting; its
+    # bins are cleared only where they were filled. ``moment`` has the sums of weighted values.
     H, W = values.shape
     mass = np.zeros(count, np.float32)
     moment = np.zeros(count, np.float32)

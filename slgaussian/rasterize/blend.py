@@ -18,11 +18,10 @@ from slgaussian.rasterize.tiles import (
     TILE_BLOCKS,
     TILE_HEIGHT,
     Bins,
-    corner_of,
-    fullest,
+    count_strips,
+    find_corner,
     load_tile,
     make_workspace,
-    strips_of,
     tile_range,
 )
 
@@ -30,7 +29,7 @@ OPAQUE_TEST_INTERVAL = 8
 """Splats composited between two tests whether all pixels of a block are opaque."""
 
 
-class Splatted(NamedTuple):
+class SplatScene(NamedTuple):
     """Splats of an image, as the first arguments of kernels.
 
     Attributes:
@@ -47,7 +46,7 @@ class Splatted(NamedTuple):
     pass_min: np.float32
 
 
-def draw(scene: Splatted, width: int, height: int, with_median: bool) -> tuple[np.ndarray, ...]:
+def draw(scene: SplatScene, width: int, height: int, with_median: bool) -> tuple[np.ndarray, ...]:
     """Composite front to back.
 
     Returns:
@@ -60,7 +59,7 @@ def draw(scene: Splatted, width: int, height: int, with_median: bool) -> tuple[n
     alpha = np.empty((height, width), np.float32)
     depth = np.zeros((height, width), np.float32)
     median = np.zeros((height, width) if with_median else (0, 0), np.float32)
-    share(_draw, strips_of(scene.bins), *scene, image, alpha, depth, median)
+    share(_draw, count_strips(scene.bins), *scene, image, alpha, depth, median)
     return image, alpha, depth, median
 
 
@@ -70,17 +69,16 @@ def _draw(counter, splats, boxes, values, bins, alpha_max, pass_min, image, alph
     channels += 1
     with_median = median.size > 0
     strip, tiles = take(counter), bins.across * bins.down
-    if strip * STRIP_TILES >= tiles:
-        return
-    capacity = fullest(bins)
-    work = make_workspace(capacity, channels - 1)
+    work = make_workspace(bins, channels - 1)
+    # A lane holds one pixel of a block of 4x4. Channel c of all pixels is at sums[c LANES]; z is
+    # the last channel, and up to three more are computed along with it and dropped.
     sums = np.empty((channels + 3) * LANES, np.float32)
     alphas, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     while strip * STRIP_TILES < tiles:
         for tile in range(strip * STRIP_TILES, min(tiles, (strip + 1) * STRIP_TILES)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             for block in range(TILE_BLOCKS):
-                x0, y0 = corner_of(block, left, top)
+                x0, y0 = find_corner(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
                 used, _, block_alphas = blend_weights(block, work, alpha_max, pass_min)
@@ -103,7 +101,7 @@ def _draw(counter, splats, boxes, values, bins, alpha_max, pass_min, image, alph
 
 
 def draw_backward(
-    scene: Splatted, firsts: np.ndarray, d_image: np.ndarray, d_alpha: np.ndarray, d_z: np.ndarray
+    scene: SplatScene, firsts: np.ndarray, d_image: np.ndarray, d_alpha: np.ndarray, d_z: np.ndarray
 ) -> np.ndarray:
     """Compute the gradients of the splats, one row for each tile that they touch.
 
@@ -121,7 +119,7 @@ def draw_backward(
         float32 [firsts[N], MOMENTS + C + 1]
     """
     grads = np.empty((firsts[-1], MOMENTS + scene.values.shape[1] + 1), np.float32)
-    share(_draw_backward, strips_of(scene.bins), *scene, firsts, d_image, d_alpha, d_z, grads)
+    share(_draw_backward, count_strips(scene.bins), *scene, firsts, d_image, d_alpha, d_z, grads)
     return grads
 
 
@@ -133,11 +131,10 @@ def _draw_backward(
     channels += 1
     sums = MOMENTS + channels
     strip, tiles = take(counter), bins.across * bins.down
-    if strip * STRIP_TILES >= tiles:
-        return
-    capacity = fullest(bins)
-    work = make_workspace(capacity, channels - 1)
-    totals = np.empty(capacity * sums * LANES, np.float32)
+    work = make_workspace(bins, channels - 1)
+    # Sums of each splat stay apart by lane until the tile is done: one sum over lanes for each, not
+    # one for each block. A row of a splat and a tile is written by one thread only, so no atomics.
+    totals = np.empty(len(work.keys) * sums * LANES, np.float32)
     upstream = np.empty((channels + 1) * LANES, np.float32)
     while strip * STRIP_TILES < tiles:
         for tile in range(strip * STRIP_TILES, min(tiles, (strip + 1) * STRIP_TILES)):
@@ -146,11 +143,11 @@ def _draw_backward(
             n = bins.starts[tile + 1] - start
             totals[: n * sums * LANES] = 0
             for block in range(TILE_BLOCKS):
-                x0, y0 = corner_of(block, left, top)
+                x0, y0 = find_corner(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
                 used, transmittance, _ = blend_weights(block, work, alpha_max, pass_min)
-                upstream[:] = 0
+                upstream[:] = 0  # lanes beyond the border of the image count for nothing
                 for y in range(y0, min(y0 + BLOCK, height)):
                     for x in range(x0, min(x0 + BLOCK, width)):
                         lane = (y - y0) * BLOCK + x - x0
@@ -165,6 +162,7 @@ def _draw_backward(
             for k in range(n):
                 i = bins.entries[start + k]
                 x0, x1, y0, _ = tile_range(boxes[i])
+                # Tiles of a splat have consecutive rows, in row-major order within its range.
                 row = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
                 row += tile % bins.across - x0
                 for m in range(sums):
@@ -179,15 +177,20 @@ def blend_weights(block, work, alpha_max, pass_min):
     Returns the number of processed splats, the remaining transmittance, and the sum of the weights,
     which is alpha with full precision for small values.
     """
+    # A lane holds one pixel. Front to back (paper, eq. 2): weight = alpha T, and T falls by it,
+    # since T (1 - alpha) = T - T alpha; T is a difference then, exact to its own rounding. The sum
+    # of the weights is kept on its own, because 1 - T has no digits left where alpha is small.
     first = block * len(work.keys)
     left, top = _corner(block)
     zero = vzero()
     accumulated, transmittance = zero, zero + np.float32(1)
+    # A transmittance of 0 would let an opaque pixel go on to its end, even with pass_min 0.
     finished = max(pass_min, np.float32(1e-30))
     j, count = 0, work.counts[block]
     while j < count and vany(transmittance >= finished):
         for now in range(j, min(j + OPAQUE_TEST_INTERVAL, count)):
             local = work.local[np.uint32(work.lists[first + now])]
+            # A cut is a mask, not a branch: other lanes go on.
             e, d = _offsets(left, top, local)
             power = local.power - e * e - d * d
             alpha = vexp2(power)
@@ -204,7 +207,7 @@ def blend_weights(block, work, alpha_max, pass_min):
 @kernel(inline="always")
 def _corner(block):
     """Return the first pixel of a block relative to the first of its tile's middle row."""
-    left, top = corner_of(block, 0, -(TILE_HEIGHT // 2))
+    left, top = find_corner(block, 0, -(TILE_HEIGHT // 2))
     return np.float32(left), np.float32(top)
 
 
@@ -213,6 +216,8 @@ def _offsets(left, top, local):
     """Return distances e and d of pixels: horizontal, from the splat's axis in their row, and
     vertical, from its centre, in units in which the Gaussian is ``2^-(e^2 + d^2)``.
     """
+    # Linear in column and row: two vectors of constants, and scalars that are computed once a
+    # block. The difference of centres is taken first, as both are large where a splat is far away.
     e = vload(LANE_COLUMNS, 0) * local.root + (local.root * (left - local.x) - local.slant * top)
     d = vload(LANE_ROWS, 0) * local.row_root + local.row_root * (top - local.y)
     return e - vload(LANE_ROWS, 0) * local.slant, d
@@ -258,6 +263,10 @@ def _median_block(block, used, channels, work):
 
 @kernel
 def _block_backward(block, used, channels, work, upstream, transmittance, alpha_max, totals):
+    # Back to front. With s the upstream gradients, f s of a splat is ``value``, and ``behind`` is R
+    # s, the composite of all that lies behind: R = alpha f + (1 - alpha) R from one splat to the
+    # next in front, so R += alpha (f - R). All channels, z and alpha share it, as the loss is
+    # linear in each.
     first = block * len(work.keys)
     sums = MOMENTS + channels
     # A clamped alpha has zero gradient. weight / transmittance is alpha only up to rounding,
@@ -279,9 +288,13 @@ def _block_backward(block, used, channels, work, upstream, transmittance, alpha_
             value = value + slope * work.carried[at + c]
             vstore(totals, to, vload(totals, to) + weight * slope)
             to += LANES
+        # dL/dalpha = T (f - R) s, so that h = alpha dL/dalpha is weight (f - R) s.
         ahead = value - behind
         h = vwhere(alpha < free, weight * ahead, np.float32(0))
         behind = behind + alpha * ahead
+        # The moments of h over the splat's pixels, from which project_backward has the rest: e and
+        # d are linear in the pixel, so that six sums stand for all gradients of the Gaussian's
+        # shape.
         e, d = _offsets(left, top, work.local[k])
         he = h * e
         to = k * sums * LANES

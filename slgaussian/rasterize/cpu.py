@@ -16,8 +16,8 @@ import torch
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.api import Render
 from slgaussian.rasterize.blend import draw_backward
-from slgaussian.rasterize.picture import GEOMETRY, splatted
-from slgaussian.rasterize.project import Eye, eye_of, project_backward
+from slgaussian.rasterize.picture import GEOMETRY, draw_splats
+from slgaussian.rasterize.project import Eye, make_eye, project_backward
 from slgaussian.rasterize.render_settings import Settings
 from slgaussian.rasterize.tiles import count_tiles
 from slgaussian.scene import Camera
@@ -36,7 +36,7 @@ def render(
     gaussians = replace(gaussians, **arrays)
     values = values.to("cpu", torch.float32).contiguous()
     image, alpha, depth, middle = _Splatting.apply(
-        *arrays.values(), values, gaussians, eye_of(camera, settings), settings, median
+        *arrays.values(), values, gaussians, make_eye(camera, settings), settings, median
     )
     return Render(image, alpha, depth, middle if median else None)
 
@@ -56,7 +56,9 @@ class _Splatting(torch.autograd.Function):
         median: bool,
     ) -> tuple[torch.Tensor, ...]:
         arrays = [t.detach().numpy() for t in (means, scales, quats, opacities)]
-        drawn, scene = splatted(gaussians, arrays, values.detach().numpy(), eye, settings, median)
+        drawn, scene = draw_splats(
+            gaussians, arrays, values.detach().numpy(), eye, settings, median
+        )
         image, alpha, depth, middle = (torch.from_numpy(array) for array in drawn)
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(means, scales, quats, opacities, values, alpha, depth)

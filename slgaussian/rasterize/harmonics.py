@@ -106,7 +106,7 @@ def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
             f"{', '.join(map(str, COUNTS))}"
         )
     if count == 1:
-        return (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(min=0)
+        return gaussians.colors().clamp(min=0)
     directions = _directions(gaussians.means, gaussians.localize(camera)).to(gaussians.sh.dtype)
     harmonics = evaluate_sh(directions, math.isqrt(count) - 1)
     return (torch.einsum("kn,nkc->nc", harmonics, gaussians.sh) + 0.5).clamp(min=0)

@@ -5,14 +5,14 @@ Fields are queried and rendered with it, without the import of torch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from slgaussian.gaussians import SH_C0, Gaussians
 from slgaussian.rasterize.api import Render, check_inputs
-from slgaussian.rasterize.blend import Splatted, draw
-from slgaussian.rasterize.project import Eye, eye_of, project
+from slgaussian.rasterize.blend import SplatScene, draw
+from slgaussian.rasterize.project import Eye, make_eye, project
 from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import bin_splats
 from slgaussian.scene import Camera
@@ -20,8 +20,7 @@ from slgaussian.scene import Camera
 GEOMETRY = ("means", "scales", "quats", "opacities")
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
+class Picture(NamedTuple):
     """A rendered view: :class:`slgaussian.rasterize.Render` as float32 arrays."""
 
     values: np.ndarray
@@ -32,12 +31,13 @@ class Picture:
     @staticmethod
     def of(render: Render) -> Picture:
         """Convert the result of any backend, on any device."""
-        arrays = {}
-        for name in (field.name for field in fields(Picture)):
-            tensor = getattr(render, name)
-            array = np.empty(0) if tensor is None else tensor.detach().cpu().numpy()
-            arrays[name] = array.astype(np.float32, copy=False)
-        return Picture(**arrays)
+        tensors = render.values, render.alpha, render.depth, render.median
+        return Picture(
+            *(
+                np.empty(0, np.float32) if t is None else t.detach().cpu().float().numpy()
+                for t in tensors
+            )
+        )
 
 
 def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture:
@@ -48,9 +48,9 @@ def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture
     """
     settings, arrays = find_settings("fast", gaussians.reach(camera)), gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
-    drawn, _ = splatted(
+    drawn, _ = draw_splats(
         gaussians, geometry, np.ascontiguousarray(values, np.float32),
-        eye_of(gaussians.localize(camera), settings), settings, False,
+        make_eye(gaussians.localize(camera), settings), settings, False,
     )  # fmt: skip
     return Picture(*drawn)
 
@@ -67,14 +67,14 @@ def seen_colors(gaussians: Gaussians, camera: Camera) -> np.ndarray:
     return rgb
 
 
-def splatted(
+def draw_splats(
     gaussians: Gaussians,
     geometry: list[np.ndarray],
     values: np.ndarray,
     eye: Eye,
     settings: Settings,
     median: bool,
-) -> tuple[tuple[np.ndarray, ...], Splatted]:
+) -> tuple[tuple[np.ndarray, ...], SplatScene]:
     """Project, bin and draw; return the images of :func:`slgaussian.rasterize.blend.draw` too.
 
     ``geometry`` are the arrays :data:`GEOMETRY` of ``gaussians``, contiguous float32. Raises
@@ -85,5 +85,5 @@ def splatted(
         check_inputs(gaussians, values)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
-    scene = Splatted(splats, boxes, values, bins, *limits)
+    scene = SplatScene(splats, boxes, values, bins, *limits)
     return draw(scene, eye.width, eye.height, median), scene

@@ -5,6 +5,11 @@ whose centre moves linearly from row to row and whose variance is constant. So
 ``alpha(x, y) = opacity exp(-1/2 (e^2 / var + dy^2 / yy))`` with ``dy = y - v``,
 ``e = x - u - slope dy``, ``slope = xy / yy`` and ``var = xx - xy^2 / yy``. This form has no
 cancellation for long and thin splats, unlike ``a dx^2 + 2 b dx dy + c dy^2``.
+
+The covariance is that of EWA splatting (Zwicker et al. 2001, eq. 24; Kerbl et al. 2023, eq. 5 and
+6): ``Sigma' = J W R S S^T R^T W^T J^T + low_pass I``, with S the scales, R the rotation of the
+Gaussian, W that of world to camera, and J the Jacobian of perspective at the centre. It is computed
+from the three columns of ``P = J W R S``, the axes of the Gaussian on the image.
 """
 
 from __future__ import annotations
@@ -57,9 +62,9 @@ MAX_COORDINATE = 1e15
 class Eye(NamedTuple):
     """A camera and the settings of projection, as arguments of kernels."""
 
-    R: np.ndarray
-    """World to camera, float64 [3, 3]."""
-    centre: np.ndarray
+    R: tuple[tuple[float, ...], ...]
+    """Rotation of world to camera, in rows."""
+    centre: tuple[float, ...]
     fx: float
     skew: float
     cx: float
@@ -81,14 +86,14 @@ class Eye(NamedTuple):
     """The log2 of the fraction of its opacity below which a splat is also cut."""
 
 
-def eye_of(camera: Camera, settings: Settings) -> Eye:
+def make_eye(camera: Camera, settings: Settings) -> Eye:
     """Convert a camera and settings for kernels."""
     (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
     margin_x = FRUSTUM_MARGIN * camera.width / (2 * fx)
     margin_y = FRUSTUM_MARGIN * camera.height / (2 * fy)
     return Eye(
-        R=np.ascontiguousarray(camera.c2w[:3, :3].T),
-        centre=np.ascontiguousarray(camera.center),
+        R=tuple(map(tuple, camera.c2w[:3, :3].T.tolist())),
+        centre=tuple(camera.center.tolist()),
         fx=fx,
         skew=skew,
         cx=cx,
@@ -134,7 +139,9 @@ def project(
 def _project(counter, means, scales, quats, opacities, values, eye, splats, boxes, sensible):
     n = len(means)
     numbers, wide = values.reshape(values.size), values.shape[1]
-    # Column by column, LANES numbers each.
+    # A lane holds one Gaussian. Its 11 parameters and 12 results are transposed on the way, so that
+    # each is one contiguous vector of LANES Gaussians. Lanes past the last Gaussian keep the ones
+    # of the start or an earlier Gaussian: valid numbers, whose results are not stored.
     parameters = np.ones(11 * LANES, np.float32)
     outputs = np.empty(12 * LANES)
     part = take(counter)
@@ -150,6 +157,7 @@ def _project(counter, means, scales, quats, opacities, values, eye, splats, boxe
                     parameters[(6 + c) * LANES + k] = quats[first + k, c]
                 parameters[10 * LANES + k] = opacities[first + k]
             values_finite = _is_finite(numbers, first * wide, (first + count) * wide)
+            # The caller names the first invalid number: looking for it here would cost every frame.
             if not (_is_valid(parameters) and values_finite):
                 sensible[part] = False
             _project_vector(parameters, eye, outputs)
@@ -192,6 +200,8 @@ def _is_valid(parameters):
 @kernel(inline="always")
 def _is_finite(numbers, start, end):
     """Test that ``numbers`` float32 are finite from ``start`` to ``end``."""
+    # 0 times a finite number is 0, of NaN and infinity NaN; a NaN remains in the sum and fails the
+    # comparisons. So no number is tested on its own.
     totals, total, at = vzero(), np.float32(0), start
     while at + LANES <= end:
         totals = totals + vload(numbers, at) * np.float32(0)
@@ -211,18 +221,25 @@ def _project_vector(parameters, eye, outputs):
     (a, b, c), (d, e, f) = _axes(_image_rows(x, y, z, eye), R)
     sx, sy, sz = _three(parameters, 3)
     xx, xy, yy, det = _covariance((sx * a, sy * b, sz * c), (sx * d, sy * e, sz * f))
+    # det(Sigma + l I) = det Sigma + l tr Sigma + l^2: a sum of terms of one sign, so that it keeps
+    # its digits where the splat is thin, and xx yy - xy^2 would cancel.
     wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
     opacity = _column(parameters, 10)
     xx = xx + eye.low_pass
     yy = yy + eye.low_pass
-    u, v = _to_pixel(x, y, eye)
+    u, v = eye.fx * x + eye.skew * y + eye.cx, eye.fy * y + eye.cy
+    # Alphas are compared as logarithms: blending has them as exponents of 2 anyway, and a product
+    # of opacity and Gaussian becomes a sum.
     power = vwiden(vlog2(vnarrow(opacity)))
     cut = power + eye.fraction
     cut = vwhere(cut > eye.cut, cut, eye.cut)
     visible = (z > eye.near) & (opacity > eye.alpha_min)
-    # In variances; rounded, it may lack a millionth.
+    # The squared Mahalanobis distance at which alpha falls to the cut. Over all y, the Gaussian's
+    # ellipse of that radius reaches sqrt(reach xx) to each side, and sqrt(reach yy) up and down.
+    # Rounded, it may lack a millionth.
     reach = (power - cut) * (1.000001 / HALF_LOG2_E)
     inverse = 1.0 / yy
+    # var = xx - xy^2 / yy = det(Sigma') / yy, so that 1 / var is yy / wide, without cancellation.
     vstore(outputs, U * LANES, clamp(u, -MAX_COORDINATE, MAX_COORDINATE))
     vstore(outputs, V * LANES, clamp(v, -MAX_COORDINATE, MAX_COORDINATE))
     vstore(outputs, ROOT * LANES, _root(HALF_LOG2_E * yy / wide))
@@ -237,13 +254,14 @@ def _project_vector(parameters, eye, outputs):
 
 @kernel(inline="always")
 def _root(x):
-    # To the digits of float32, which is what the rest of the way has.
+    # To the digits of float32, which is all that blending has.
     return vwiden(vsqrt(vnarrow(x)))
 
 
 @kernel(inline="always")
 def _store_pixels(centre, reach, size, outputs, column):
     """Store the half-open range of pixels with centres within ``reach``; empty if negative."""
+    # Pixel i has its centre at i + 0.5. In float64, as int32 would overflow before the clamp.
     low = vceil(clamp(centre - reach - 0.5, 0.0, size))
     high = vfloor(clamp(centre + reach - 0.5, -1.0, size - 1.0)) + 1.0
     vstore(outputs, column * LANES, low)
@@ -272,16 +290,8 @@ def project_backward(
     """
     n, channels = len(splats), grads.shape[1] - MOMENTS - 1
     gradients = *map(np.zeros_like, geometry), np.zeros((n, channels), np.float32)
-    share(
-        _project_backward,
-        -(-n // GAUSSIANS_PER_ITEM),
-        *geometry,
-        eye,
-        splats,
-        firsts,
-        grads,
-        *gradients,
-    )
+    items = -(-n // GAUSSIANS_PER_ITEM)
+    share(_project_backward, items, *geometry, eye, splats, firsts, grads, *gradients)
     return gradients
 
 
@@ -290,6 +300,8 @@ def _project_backward(
     counter, means, scales, quats, opacities, eye, splats, firsts, grads, d_means, d_scales,
     d_quats, d_opacities, d_values,
 ):  # fmt: skip
+    # One Gaussian at a time, without lanes, as numbers of rows differ. The thread that has it adds
+    # its rows in the order of the tiles: no atomics, and the same bytes with any number of threads.
     n, channels, W = len(means), d_values.shape[1], eye.R
     m, dA, dR = np.empty(MOMENTS), np.empty((2, 3)), np.empty((3, 3))
     start = take(counter) * GAUSSIANS_PER_ITEM
@@ -304,11 +316,15 @@ def _project_backward(
                 for k in range(channels):
                     d_values[i, k] += grads[row, MOMENTS + k]
                 dz += grads[row, MOMENTS + channels]
+            # Each gradient is the sum over pixels of h = alpha dL/dalpha times the derivative of
+            # ln alpha, and the moments hold that: dL/du is the sum of h e / var, which is root / k
+            # times m[1], the sum of h (root e), as root^2 is k / var with k = HALF_LOG2_E.
             root, slope, row_root = splats[i, ROOT], splats[i, SLOPE], splats[i, ROW_ROOT]
             row_precision = row_root * row_root / HALF_LOG2_E
             du = root * m[1] / HALF_LOG2_E
             dv = row_root * m[3] / HALF_LOG2_E - slope * du
-            # var = xx - xy^2 / yy, slope = xy / yy.
+            # By the chain rule through var = xx - xy^2 / yy and slope = xy / yy; dL/dxx is d_var.
+            # The low-pass filter is a constant in xx and yy, and has no part in it.
             d_var = 0.5 * (root * root / HALF_LOG2_E) * m[2] / HALF_LOG2_E
             d_slope = root / row_root * m[4] / HALF_LOG2_E
             dxy = d_slope * row_precision - 2 * slope * d_var
@@ -319,10 +335,13 @@ def _project_backward(
             x, y, z = _to_camera(
                 np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]), eye
             )
+            # Recomputed, so that the forward pass stores nothing but the splats.
             A = _image_rows(x, y, z, eye)
             qw, qx, qy, qz = quats[i]
             R = _rotation(np.float64(qw), np.float64(qx), np.float64(qy), np.float64(qz))
             axes = _axes(A, R)
+            # Column k of P = A R S on the image is (px, py), and Sigma' = P P^T: xx = sum px^2,
+            # xy = sum px py, yy = sum py^2 over the three axes.
             for k in range(3):
                 scale, axis_x, axis_y = scales[i, k], axes[0][k], axes[1][k]
                 px, py = scale * axis_x, scale * axis_y
@@ -336,17 +355,19 @@ def _project_backward(
             _rotation_backward(quats[i], dR, d_quats[i])
 
             # A = J W with J = [[fx, skew, -(fx tx + skew ty)], [0, fy, -fy ty]] / z.
-            dJ00 = dA[0, 0] * W[0, 0] + dA[0, 1] * W[0, 1] + dA[0, 2] * W[0, 2]
-            dJ01 = dA[0, 0] * W[1, 0] + dA[0, 1] * W[1, 1] + dA[0, 2] * W[1, 2]
-            dJ02 = dA[0, 0] * W[2, 0] + dA[0, 1] * W[2, 1] + dA[0, 2] * W[2, 2]
-            dJ11 = dA[1, 0] * W[1, 0] + dA[1, 1] * W[1, 1] + dA[1, 2] * W[1, 2]
-            dJ12 = dA[1, 0] * W[2, 0] + dA[1, 1] * W[2, 1] + dA[1, 2] * W[2, 2]
+            dJ00 = dA[0, 0] * W[0][0] + dA[0, 1] * W[0][1] + dA[0, 2] * W[0][2]
+            dJ01 = dA[0, 0] * W[1][0] + dA[0, 1] * W[1][1] + dA[0, 2] * W[1][2]
+            dJ02 = dA[0, 0] * W[2][0] + dA[0, 1] * W[2][1] + dA[0, 2] * W[2][2]
+            dJ11 = dA[1, 0] * W[1][0] + dA[1, 1] * W[1][1] + dA[1, 2] * W[1][2]
+            dJ12 = dA[1, 0] * W[2][0] + dA[1, 1] * W[2][1] + dA[1, 2] * W[2][2]
             tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
             by_depth = dJ00 * eye.fx + dJ01 * eye.skew - dJ02 * (eye.fx * tx + eye.skew * ty)
             by_depth = by_depth + dJ11 * eye.fy - dJ12 * eye.fy * ty
             dz -= by_depth / (z * z)
             dx = du * eye.fx
             dy = du * eye.skew + dv * eye.fy
+            # Where the point of evaluation is clamped to the frustum, J does not move with the
+            # mean.
             if tx == x:
                 dx -= dJ02 * eye.fx / z
             if ty == y:
@@ -354,11 +375,12 @@ def _project_backward(
             # x and y are divided by z already.
             dz -= (dx * x + dy * y) / z
             for k in range(3):
-                d_means[i, k] = (dx * W[0, k] + dy * W[1, k]) / z + dz * W[2, k]
+                d_means[i, k] = (dx * W[0][k] + dy * W[1][k]) / z + dz * W[2][k]
         start = take(counter) * GAUSSIANS_PER_ITEM
 
 
-# From here to the covariance, numbers are float64 scalars or vectors.
+# From here to the covariance, numbers are float64 scalars or vectors: the forward pass has a vector
+# of Gaussians, the backward pass one Gaussian, by the same formulas.
 
 
 @kernel(inline="always")
@@ -375,35 +397,40 @@ def _to_camera(x, y, z, eye):
     y = y - eye.centre[1]
     z = z - eye.centre[2]
     R = eye.R
-    depth = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+    depth = R[2][0] * x + R[2][1] * y + R[2][2] * z
     inverse = 1.0 / vwhere(depth > eye.near, depth, 1.0)
     return (
-        (R[0, 0] * x + R[0, 1] * y + R[0, 2] * z) * inverse,
-        (R[1, 0] * x + R[1, 1] * y + R[1, 2] * z) * inverse,
+        (R[0][0] * x + R[0][1] * y + R[0][2] * z) * inverse,
+        (R[1][0] * x + R[1][1] * y + R[1][2] * z) * inverse,
         depth,
     )
 
 
 @kernel(inline="always")
-def _to_pixel(x, y, eye):
-    return eye.fx * x + eye.skew * y + eye.cx, eye.fy * y + eye.cy
-
-
-@kernel(inline="always")
 def _image_rows(x, y, z, eye):
     """Return the Jacobian of image x and y by the world position: two rows of three."""
+    # J W with J = [[fx, skew, -(fx tx + skew ty)], [0, fy, -fy ty]] / z. The point (tx, ty) is the
+    # centre, clamped to the frustum and a margin: outside, the affine approximation of a
+    # perspective that no longer is nearly affine would smear the splat over the image.
     tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
     inverse = 1.0 / vwhere(z > eye.near, z, 1.0)
-    a, b, c = eye.fx * inverse, eye.skew * inverse, -(eye.fx * tx + eye.skew * ty) * inverse
     d, e = eye.fy * inverse, -eye.fy * ty * inverse
     R = eye.R
     return (
-        (
-            a * R[0, 0] + b * R[1, 0] + c * R[2, 0],
-            a * R[0, 1] + b * R[1, 1] + c * R[2, 1],
-            a * R[0, 2] + b * R[1, 2] + c * R[2, 2],
+        _multiply(
+            eye.fx * inverse, eye.skew * inverse, -(eye.fx * tx + eye.skew * ty) * inverse, R
         ),
-        (d * R[1, 0] + e * R[2, 0], d * R[1, 1] + e * R[2, 1], d * R[1, 2] + e * R[2, 2]),
+        (d * R[1][0] + e * R[2][0], d * R[1][1] + e * R[2][1], d * R[1][2] + e * R[2][2]),
+    )
+
+
+@kernel(inline="always")
+def _multiply(a, b, c, R):
+    """Multiply the row vector (a, b, c) with the matrix ``R``, given in rows."""
+    return (
+        a * R[0][0] + b * R[1][0] + c * R[2][0],
+        a * R[0][1] + b * R[1][1] + c * R[2][1],
+        a * R[0][2] + b * R[1][2] + c * R[2][2],
     )
 
 
@@ -421,6 +448,8 @@ def _rotation(w, x, y, z):
 @kernel
 def _rotation_backward(quat, dR, out):
     """Write the gradient of the quaternion to ``out``; it is orthogonal to the quaternion."""
+    # From the transpose of the derivative of the unit quaternion's matrix; then through q / |q|,
+    # which takes out the part along q and divides by the length.
     w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
     length = math.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w / length, x / length, y / length, z / length
@@ -441,18 +470,7 @@ def _rotation_backward(quat, dR, out):
 def _axes(A, R):
     """Project the three axes of a Gaussian of unit scales: x and y of each, in pixels."""
     (a, b, c), (d, e, f) = A
-    return (
-        (
-            a * R[0][0] + b * R[1][0] + c * R[2][0],
-            a * R[0][1] + b * R[1][1] + c * R[2][1],
-            a * R[0][2] + b * R[1][2] + c * R[2][2],
-        ),
-        (
-            d * R[0][0] + e * R[1][0] + f * R[2][0],
-            d * R[0][1] + e * R[1][1] + f * R[2][1],
-            d * R[0][2] + e * R[1][2] + f * R[2][2],
-        ),
-    )
+    return _multiply(a, b, c, R), _multiply(d, e, f, R)
 
 
 @kernel(inline="always")

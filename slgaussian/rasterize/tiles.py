@@ -95,8 +95,11 @@ class Workspace(NamedTuple):
 
 
 @kernel(inline="always")
-def make_workspace(n, channels):
-    """Make a :class:`Workspace` for at most ``n`` splats of ``channels`` values."""
+def make_workspace(bins, channels):
+    """Make a :class:`Workspace` for the splats of the fullest tile, of ``channels`` values."""
+    n = 1
+    for tile in range(bins.across * bins.down):
+        n = max(n, bins.starts[tile + 1] - bins.starts[tile])
     return Workspace(
         np.empty(n, np.uint64),
         np.empty(n, np.uint64),
@@ -114,7 +117,9 @@ def bin_splats(boxes: np.ndarray, width: int, height: int) -> Bins:
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     cursors = np.zeros((PARTS, across * down), np.int64)
     share(_bin, PARTS, boxes, across, cursors, np.empty(0, np.int32), False)
-    # Tile by tile, and part by part in each.
+    # Counted first, then written where the counts say: each part has a place of its own in each
+    # tile, so that parts need no locks and leave the order of the input. Tile by tile, and part by
+    # part in each.
     ends = np.cumsum(cursors.T).reshape(-1, PARTS)
     cursors[:] = ends.T - cursors
     starts = np.append(cursors[0], ends[-1, -1])
@@ -139,7 +144,7 @@ def _bin(counter, boxes, across, cursors, entries, write):
         part = take(counter)
 
 
-def strips_of(bins: Bins) -> int:
+def count_strips(bins: Bins) -> int:
     """Return the number of work items of :data:`STRIP_TILES` tiles."""
     return -(-bins.across * bins.down // STRIP_TILES)
 
@@ -170,20 +175,15 @@ def count_tiles(boxes):
 
 
 @kernel(inline="always")
-def fullest(bins):
-    """Return the number of splats of the fullest tile, at least one."""
-    maximum = 1
-    for tile in range(bins.across * bins.down):
-        maximum = max(maximum, bins.starts[tile + 1] - bins.starts[tile])
-    return maximum
-
-
-@kernel(inline="always")
 def load_tile(tile, bins, splats, boxes, values, work):
     """Fill the workspace with the splats of ``tile``; returns its left and top pixel.
 
     Splat k of the workspace is ``bins.entries[bins.starts[tile] + k]``.
     """
+    # Three passes: gather the splats of the tile from all over memory into one contiguous
+    # workspace, in its own pixels; sort their keys, not the splats; deal them to the lists of the
+    # blocks, which are then sorted too. Blending only reads the workspace, once for each of its 32
+    # blocks.
     left = (tile % bins.across) * TILE_WIDTH
     top = (tile // bins.across) * TILE_HEIGHT
     start = bins.starts[tile]
@@ -194,11 +194,14 @@ def load_tile(tile, bins, splats, boxes, values, work):
     entries, local, reach, carried = bins.entries, work.local, work.reach, work.carried
     last = len(entries) - 1
     for k in range(n):
+        # Entries of a tile are scattered: ask for those that are needed a few turns later.
         ahead = entries[min(start + k + PREFETCH_DISTANCE, last)]
         prefetch(splats, ahead * splats.shape[1])
         prefetch(boxes, ahead * 4)
         prefetch(values, ahead * channels)
         i = np.uint32(entries[start + k])
+        # In float64, before the rounding to float32: within a tile, coordinates are small, and
+        # their digits go to fractions of a pixel.
         y = splats[i, V] - (top + TILE_HEIGHT // 2) - 0.5
         x = splats[i, U] - left - 0.5 - splats[i, SLOPE] * y
         local[k].x = min(max(x, -MAX_COORDINATE), MAX_COORDINATE)
@@ -208,6 +211,8 @@ def load_tile(tile, bins, splats, boxes, values, work):
         local[k].row_root = splats[i, ROW_ROOT]
         local[k].power = splats[i, POWER]
         local[k].cut = splats[i, CUT]
+        # The blocks that the box touches, as bits: a run of columns, repeated in a run of rows. The
+        # product copies the run of columns to the start of each row, without carry.
         x0, x1 = max(0, boxes[i, 0] - left) // BLOCK, min(TILE_WIDTH, boxes[i, 1] - left) - 1
         y0, y1 = max(0, boxes[i, 2] - top) // BLOCK, min(TILE_HEIGHT, boxes[i, 3] - top) - 1
         across = (2 << np.uint32(x1 // BLOCK)) - (1 << np.uint32(x0))
@@ -227,6 +232,7 @@ def load_tile(tile, bins, splats, boxes, values, work):
     counts[:] = 0
     for j in range(n):
         entry = np.uint32(order[j])  # the lower half
+        # Blocks of a splat are found by its set bits, not by testing all 32.
         left_over = reach[entry]
         while left_over:
             block = lowest_bit(left_over)
@@ -238,7 +244,7 @@ def load_tile(tile, bins, splats, boxes, values, work):
 
 
 @kernel(inline="always")
-def corner_of(block, left, top):
+def find_corner(block, left, top):
     """Return the first pixel of a block of the tile whose first pixel is ``left, top``."""
     return left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
 
@@ -250,6 +256,9 @@ def _sort_by_depth(n, channels, nearest, farthest, work):
     Radix sort over the bits of the float32 z: positive floats are in the order of their bits, and
     close ones share the upper bits, which then need no pass.
     """
+    # Only the bits in which the depths of this tile can differ are sorted, in as few passes as fit
+    # the digits; the histograms of all passes are counted while the keys are written. Sorting is
+    # stable, so that equal depths keep the order of the input, as the model says.
     z = work.carried.view(np.uint32)
     limits = np.array([nearest, farthest], np.float32).view(np.uint32)
     bits = 0
