@@ -32,7 +32,7 @@ DEEP = 100_000
 SIZES = [0, 1, 2, 255, 20_000, 65_535, 2**31 - 1, 2**32 - 1]
 
 
-def damaged(data: bytes, name: str, rng: random.Random) -> bytes:
+def damage(data: bytes, name: str, rng: random.Random) -> bytes:
     """Damage one to three places of a file, in ways that suit its format, or at random."""
     ways = WAYS.get(Path(name).suffix.lower(), [])
     original, left = data, rng.choice([1, 1, 1, 2, 3])
@@ -171,18 +171,8 @@ def any_npy(data: bytes, rng: random.Random) -> bytes:
         header = re.sub(r"\(.*?\)", f"({shape},)" if shape else "()", header, count=1)
     elif way == "type":
         types = [
-            "|O",
-            "<f8",
-            ">f4",
-            "<i8",
-            "|b1",
-            "<U9",
-            "|V9",
-            "<c16",
-            "<M8[s]",
-            "<f4,(9,9)<f8",
-            "x",
-        ]
+            "|O", "<f8", ">f4", "<i8", "|b1", "<U9", "|V9", "<c16", "<M8[s]", "<f4,(9,9)<f8", "x",
+        ]  # fmt: skip
         header = re.sub(r"'descr': '[^']*'", f"'descr': '{rng.choice(types)}'", header)
     else:
         header = any_text(header.encode("latin-1"), rng).decode("latin-1")

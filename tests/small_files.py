@@ -36,7 +36,7 @@ from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from slgaussian.storage.specs import load_spec
-from tests.damaged_bytes import damaged
+from tests.damaged_bytes import damage
 
 W, H = 48, 32
 
@@ -55,7 +55,7 @@ def picture(seed: int, *shape: int, top: int = 256) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, top, (H, W, *shape), dtype=kind)
 
 
-def all_views(scene: Scene) -> None:
+def read_all_views(scene: Scene) -> None:
     """Read all views, also after an error; then raise the first one."""
     first = None
     for name in scene.cameras:
@@ -67,7 +67,7 @@ def all_views(scene: Scene) -> None:
         raise first
 
 
-def each(read: Callable[[Path], Any], files: Iterator[Path]) -> None:
+def read_each(read: Callable[[Path], Any], files: Iterator[Path]) -> None:
     for file in sorted(files):
         read(file)
 
@@ -106,7 +106,7 @@ def read_nerfstudio(folder: Path) -> None:
     scene = nerfstudio.read(folder)
     for name in scene.cameras:
         scene.sources(name)
-    all_views(scene)
+    read_all_views(scene)
 
 
 def make_alone(folder: Path) -> None:
@@ -161,7 +161,7 @@ def new_folder(folder: Path) -> Path:
     return folder
 
 
-def sparse_cameras() -> list[tuple[int, int, str, tuple[float, ...]]]:
+def make_sparse_cameras() -> list[tuple[int, int, str, tuple[float, ...]]]:
     return [
         (1, 1, "PINHOLE", (20.0, 21.0, 12.0, 8.0)),
         (2, 4, "OPENCV", (20.0, 21.0, 12.0, 8.0, 0.05, 0.0, 0.001, 0.0)),
@@ -170,7 +170,7 @@ def sparse_cameras() -> list[tuple[int, int, str, tuple[float, ...]]]:
 
 def make_sparse_text(folder: Path) -> None:
     sparse = new_folder(folder / "sparse")
-    cameras = sparse_cameras()
+    cameras = make_sparse_cameras()
     lines = [f"{n} {name} {W} {H} {' '.join(map(str, values))}" for n, _, name, values in cameras]
     (sparse / "cameras.txt").write_text("# cameras\n" + "\n".join(lines) + "\n")
     lines, points = [], "1.0 2.0 1 3.0 4.0 -1"
@@ -184,7 +184,7 @@ def make_sparse_text(folder: Path) -> None:
 def make_sparse_binary(folder: Path) -> None:
     make_sparse_text(folder)
     shutil.rmtree(folder / "sparse")
-    sparse, cameras = new_folder(folder / "sparse"), sparse_cameras()
+    sparse, cameras = new_folder(folder / "sparse"), make_sparse_cameras()
     data = struct.pack("<Q", len(cameras))
     for number, model, _, parameters in cameras:
         data += struct.pack(f"<iiQQ{len(parameters)}d", number, model, W, H, *parameters)
@@ -203,14 +203,14 @@ def camera(x: float) -> Camera:
     return Camera(np.array([[20.0, 0, 12], [0, 20, 8], [0, 0, 1]]), c2w, W, H)
 
 
-def a_clip(key: str) -> re10k.Clip:
+def make_clip(key: str) -> re10k.Clip:
     cameras = {str(i): camera(i) for i in range(3)}
     pictures = {name: View(name, cam, picture(int(name), 3)) for name, cam in cameras.items()}
     return re10k.clip_of(Scene(key, cameras, pictures.__getitem__))
 
 
 def make_chunks(folder: Path) -> None:
-    re10k.write(folder, [a_clip("0a"), a_clip("0b")], chunk_bytes=1)
+    re10k.write(folder, [make_clip("0a"), make_clip("0b")], chunk_bytes=1)
 
 
 def read_chunks(folder: Path) -> None:
@@ -218,11 +218,11 @@ def read_chunks(folder: Path) -> None:
     for key, name in re10k.read_index(folder).items():
         for clip in re10k.read_chunk(folder / name):
             try:
-                all_views(clip.scene())
-                each(glance, clip.images)
+                read_all_views(clip.scene())
+                read_each(glance, clip.images)
             except InputError as error:
                 first = first or InputError(f"{folder / name}: {error}")
-        all_views(re10k.read(folder, key))
+        read_all_views(re10k.read(folder, key))
     if first is not None:
         raise first
 
@@ -349,7 +349,7 @@ SMALL = Architecture(widths=(4, 6), hidden=8)
 RUN = {"architecture": {"widths": [4, 6], "hidden": 8}, "steps": 3}
 
 
-def trained() -> tuple[Branch, torch.optim.Optimizer]:
+def train_branch() -> tuple[Branch, torch.optim.Optimizer]:
     branch = make_branch(SMALL, 0)
     optimiser = torch.optim.AdamW(branch.parameters(), foreach=False)
     for parameter in branch.parameters():
@@ -359,7 +359,7 @@ def trained() -> tuple[Branch, torch.optim.Optimizer]:
 
 
 def make_weights(folder: Path) -> None:
-    branch, optimiser = trained()
+    branch, optimiser = train_branch()
     (folder / "branch.safetensors").write_bytes(save_branch(branch))
     schema = load_spec("metrics").schema
     values = {"string": "x", "bool": True}
@@ -369,7 +369,7 @@ def make_weights(folder: Path) -> None:
 
 def read_weights(folder: Path) -> None:
     load_branch(folder / "branch.safetensors")
-    load_checkpoint(folder, *trained(), RUN)
+    load_checkpoint(folder, *train_branch(), RUN)
 
 
 def make_versions(folder: Path) -> None:
@@ -388,22 +388,28 @@ FORMATS = {
     "transforms.json": Format(make_photographs, read_nerfstudio, ("*.json",)),
     "photographs, depth": Format(make_photographs, read_nerfstudio, ("[a-j]*.*",)),
     "photographs alone": Format(
-        make_alone, lambda f: each(lambda file: unposed.photograph(file, "a"), f.iterdir()), ("*",)
+        make_alone,
+        lambda f: read_each(lambda file: unposed.photograph(file, "a"), f.iterdir()),
+        ("*",),
     ),
-    "id maps": Format(make_ids, lambda f: each(read_ids, f.iterdir()), ("*",)),
+    "id maps": Format(make_ids, lambda f: read_each(read_ids, f.iterdir()), ("*",)),
     "class masks": Format(make_masks, lambda f: read_labels(f, "00", W, H), ("*.txt", "*/*.png")),
-    "LLFF": Format(make_llff, lambda f: all_views(llff.read(f)), ("*.npy",)),
-    "COLMAP binary": Format(make_sparse_binary, lambda f: all_views(colmap.read(f)), ("sparse/*",)),
-    "COLMAP text": Format(make_sparse_text, lambda f: all_views(colmap.read(f)), ("sparse/*",)),
+    "LLFF": Format(make_llff, lambda f: read_all_views(llff.read(f)), ("*.npy",)),
+    "COLMAP binary": Format(
+        make_sparse_binary, lambda f: read_all_views(colmap.read(f)), ("sparse/*",)
+    ),
+    "COLMAP text": Format(
+        make_sparse_text, lambda f: read_all_views(colmap.read(f)), ("sparse/*",)
+    ),
     "chunks": Format(make_chunks, read_chunks, ("*.torch", "*.torch", "*.json")),
     "label JSON": Format(make_labels, read_all_labels, ("*.json",)),
-    "pair index": Format(make_indices, lambda f: each(read_index, f.iterdir()), ("*.json",)),
+    "pair index": Format(make_indices, lambda f: read_each(read_index, f.iterdir()), ("*.json",)),
     "field": Format(
         make_field, lambda f: SemanticField.load(f / "field"), ("field/*.json", "field/*.npz")
     ),
     "npz": Format(make_arrays, read_arrays, ("*.npz",)),
     "Parquet": Format(make_tables, read_tables, ("*.parquet",)),
-    "ply": Format(make_ply, lambda f: each(load_ply, f.iterdir()), ("*.ply",)),
+    "ply": Format(make_ply, lambda f: read_each(load_ply, f.iterdir()), ("*.ply",)),
     "checkpoints": Format(make_checkpoints, read_checkpoints, ("*.ckpt",)),
     "weights": Format(make_weights, read_weights, ("*.safetensors", "*.pt")),
     "versions": Format(make_versions, read_versions, ("*.json", "versions/*")),
@@ -417,7 +423,7 @@ def trial(name: str, number: int, seed: int, folder: Path) -> None:
     files = sorted(folder.glob(rng.choice(kind.files)))
     file = rng.choice([path for path in files if path.is_file()])
     content = file.read_bytes()
-    file.write_bytes(damaged(content, file.name, rng))
+    file.write_bytes(damage(content, file.name, rng))
     try:
         kind.read(folder)
     finally:

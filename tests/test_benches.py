@@ -17,11 +17,11 @@ def module(bench):
 
 
 @pytest.mark.parametrize("bench", BENCHES, ids=lambda file: file.stem)
-def test_what_a_bench_imports_is_there(bench):
+def test_bench_can_be_imported(bench):
     importlib.import_module(module(bench))
 
 
-def test_a_bench_writes_its_block_of_a_page_and_leaves_the_rest(tmp_path, monkeypatch, capsys):
+def test_publish_replaces_only_its_block_of_a_page(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(harness, "measured", lambda: "Measured today.")
     page = tmp_path / "words.md"
     page.write_text("# Words\n\n<!-- a -->\nold\n<!-- end of a -->\n\nWritten by hand.\n")
@@ -45,7 +45,7 @@ def test_a_bench_writes_its_block_of_a_page_and_leaves_the_rest(tmp_path, monkey
 @pytest.mark.parametrize(
     "page", sorted((ROOT / "docs/measured").glob("*.md")), ids=lambda page: page.stem
 )
-def test_blocks_of_a_page_are_of_benches_that_write_to_it(page):
+def test_page_blocks_name_benches_that_write_them(page):
     blocks = re.findall(r"<!-- (\w+) -->.*?`python -m ([\w.]+)", page.read_text(), re.DOTALL)
     for name, bench in blocks:
         assert bench.rpartition(".")[2] == name

@@ -15,7 +15,7 @@ COMPOSE = yaml.safe_load((DOCKER / "compose.yaml").read_text())
 SERVICES = COMPOSE["services"]
 
 
-def instructions() -> list[tuple[str, str]]:
+def read_instructions() -> list[tuple[str, str]]:
     """Instructions of the Dockerfile with their words, lines that go on joined."""
     lines = (DOCKER / "Dockerfile").read_text().replace("\\\n", " ").splitlines()
     return [
@@ -25,20 +25,22 @@ def instructions() -> list[tuple[str, str]]:
     ]
 
 
-def copied() -> set[str]:
-    return {path for kind, rest in instructions() if kind == "COPY" for path in rest.split()[:-1]}
+def list_copied_paths() -> set[str]:
+    return {
+        path for kind, rest in read_instructions() if kind == "COPY" for path in rest.split()[:-1]
+    }
 
 
-def test_what_is_copied_is_there_and_not_ignored():
+def test_copied_files_exist_and_are_not_ignored():
     ignored = (DOCKER / "Dockerfile.dockerignore").read_text().splitlines()
-    assert {line[1:] for line in ignored if line.startswith("!")} == copied()
-    assert all((ROOT / path).exists() for path in copied())
+    assert {line[1:] for line in ignored if line.startswith("!")} == list_copied_paths()
+    assert all((ROOT / path).exists() for path in list_copied_paths())
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
-    assert packages - {"tests", "benches"} <= copied()
+    assert packages - {"tests", "benches"} <= list_copied_paths()
 
 
-def test_it_runs_as_nobody_in_particular_what_the_install_has():
-    kinds = dict(instructions())
+def test_image_runs_an_installed_command_as_plain_user():
+    kinds = dict(read_instructions())
     assert kinds["USER"] == "10001"
     command = json.loads(kinds["CMD"])[0]
     assert command in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
@@ -46,7 +48,7 @@ def test_it_runs_as_nobody_in_particular_what_the_install_has():
     assert re.search(r"^torch==", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
 
 
-def test_ports_are_on_loopback_and_volumes_are_known():
+def test_services_use_loopback_ports_and_known_volumes():
     for service in SERVICES.values():
         for port in service.get("ports", []):
             assert port.startswith("127.0.0.1:")
@@ -55,7 +57,7 @@ def test_ports_are_on_loopback_and_volumes_are_known():
             assert source in COMPOSE["volumes"] or (DOCKER / source).exists()
 
 
-def test_credentials_are_in_no_file_of_the_repository():
+def test_repository_has_no_credentials():
     variables = {name for name, _ in re.findall(r"\$\{(AWS_\w+)(:\?[^}]*)\}", yaml.dump(COMPOSE))}
     assert variables == {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"}
     examples = re.findall(r"^(\w+)=(.*)$", (DOCKER / ".env.example").read_text(), re.MULTILINE)
@@ -71,7 +73,7 @@ DEPLOYMENTS = yaml.safe_load((DOCKER / "prefect.yaml").read_text())["deployments
 
 
 @pytest.mark.parametrize("deployment", DEPLOYMENTS, ids=[d["name"] for d in DEPLOYMENTS])
-def test_parameters_of_the_deployments_fit_and_stay_in_the_volumes(deployment):
+def test_deployment_parameters_are_valid_and_in_the_volumes(deployment):
     flow = load_flow_from_entrypoint(deployment["entrypoint"])
     config = flow.validate_parameters(deployment["parameters"])["config"]
     assert config.store == "s3://slgaussian/store" and str(config.out).startswith("/data/")

@@ -37,7 +37,7 @@ def copy(tmp_path_factory) -> Path:
     return folder
 
 
-def built(kind: str, source: Path, out: Path) -> Path:
+def build(kind: str, source: Path, out: Path) -> Path:
     """The wheel or sdist that the build backend makes of ``source``; no network is needed."""
     code = f"from setuptools import build_meta as b; import sys; print(b.build_{kind}(sys.argv[1]))"
     command = [sys.executable, "-c", code, str(out)]
@@ -48,8 +48,8 @@ def built(kind: str, source: Path, out: Path) -> Path:
     return out / done.stdout.splitlines()[-1]
 
 
-def test_the_wheel_holds_the_files_of_the_packages_and_nothing_else(copy, tmp_path):
-    with zipfile.ZipFile(built("wheel", copy, tmp_path)) as wheel:
+def test_wheel_holds_exactly_the_files_of_the_packages(copy, tmp_path):
+    with zipfile.ZipFile(build("wheel", copy, tmp_path)) as wheel:
         names = set(wheel.namelist())
     metadata = {name for name in names if name.split("/")[0].endswith(".dist-info")}
     package_files = names - metadata
@@ -60,8 +60,8 @@ def test_the_wheel_holds_the_files_of_the_packages_and_nothing_else(copy, tmp_pa
 
 
 @pytest.mark.skipif(not TRACKED, reason="only git knows which files are of the repository")
-def test_the_source_archive_holds_the_repository(copy, tmp_path):
-    with tarfile.open(built("sdist", copy, tmp_path)) as archive:
+def test_source_archive_holds_the_repository(copy, tmp_path):
+    with tarfile.open(build("sdist", copy, tmp_path)) as archive:
         names = [member.name for member in archive.getmembers() if member.isfile()]
     files = {name.split("/", 1)[1] for name in names}
     assert sorted(source_files() - files) == [], "left out of the archive: add it to MANIFEST.in"
@@ -69,7 +69,7 @@ def test_the_source_archive_holds_the_repository(copy, tmp_path):
     assert generated <= {"PKG-INFO", "setup.cfg"}
 
 
-def test_all_packages_are_named():
+def test_pyproject_names_all_packages():
     """So that a package of a new name is not left out of both the wheel and the test above."""
     packages = {name.split("/")[0] for name in source_files() if name.endswith("/__init__.py")}
     config = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]

@@ -61,7 +61,7 @@ def anchor(heading: str) -> str:
     return re.sub(r"[^\w\- ]", "", plain.lower()).replace(" ", "-")
 
 
-def leads_somewhere(link: str, page: Path) -> bool:
+def resolves(link: str, page: Path) -> bool:
     path, _, fragment = link.partition("#")
     target = (page.parent / path).resolve() if path else page
     if not (target.is_relative_to(ROOT) and target.exists()):
@@ -70,12 +70,12 @@ def leads_somewhere(link: str, page: Path) -> bool:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
-def test_links_lead_to_files_and_headings(page):
+def test_links_of_a_page_resolve(page):
     local = [link for link in LINK.findall(prose(page)) if "://" not in link]
-    assert [link for link in local if not leads_somewhere(link, page)] == []
+    assert [link for link in local if not resolves(link, page)] == []
 
 
-def test_every_page_is_in_the_index():
+def test_index_links_every_page():
     index = ROOT / "docs" / "index.md"
     linked = {
         (index.parent / link.partition("#")[0]).resolve() for link in LINK.findall(read(index))
@@ -90,7 +90,7 @@ def sources() -> list[Path]:
     return [file for file in files if file.suffix in (".py", ".toml", ".yaml")]
 
 
-def test_files_that_are_named_exist():
+def test_mentioned_files_exist():
     missing = {}
     for file in {*PAGES, *sources()} - {Path(__file__)}:
         for mention in set(OWN_FILE.findall(read(file))) - TO_BE_WRITTEN:
@@ -104,7 +104,7 @@ def names_in(file: Path) -> set[str]:
     return {node.name for node in ast.walk(ast.parse(read(file))) if isinstance(node, defined)}
 
 
-def test_what_the_architecture_page_says_where_it_is_is_there():
+def test_architecture_page_names_existing_functions():
     page = read(ROOT / "docs" / "architecture.md")
     table = page.partition("## Where is ...?")[2].partition("\n## ")[0]
     rows = [line.split("|")[2:4] for line in table.splitlines() if line.endswith("` |")]
@@ -156,7 +156,7 @@ def commands(page: Path) -> list[str]:
     return [hit[0] for part in parts if (hit := re.findall(r"(?<!\S)slgaussian [\w-].*", part))]
 
 
-def options_of_bench(file: Path) -> set[str]:
+def find_bench_options(file: Path) -> set[str]:
     """Options that a bench's ``add_argument`` names, or that its usage does."""
     source = read(file)
     calls = re.findall(r"add_argument\(([^)]*)", source) + re.findall(r"sys\.argv.*", source)
@@ -164,17 +164,17 @@ def options_of_bench(file: Path) -> set[str]:
     return shared | set(re.findall(r"\"(--?[a-z][\w-]*)\"", " ".join(calls)))
 
 
-def problem_of_bench(line: str) -> str | None:
+def find_bench_problem(line: str) -> str | None:
     """Return the reason why a bench refuses ``python -m benches.... words``, or None."""
     module, *words = re.sub(r"[][]", " ", line).split()
     file = ROOT / (module.replace(".", "/") + ".py")
     if not file.is_file():
         return f"no bench {module}"
     unknown = {word for word in words if re.fullmatch(r"--?[a-z][\w-]*", word)}
-    return str(unknown) if (unknown := unknown - options_of_bench(file)) else None
+    return str(unknown) if (unknown := unknown - find_bench_options(file)) else None
 
 
-def problem(line: str) -> str | None:
+def find_problem(line: str) -> str | None:
     """Return the reason why the command line refuses ``line``, without values of options."""
     words = shlex.split(line, comments=True)[1:]
     command, path = COMMANDS, "slgaussian"
@@ -191,16 +191,16 @@ def problem(line: str) -> str | None:
 
 
 @pytest.mark.parametrize("page", TALKING, ids=name)
-def test_commands_benches_and_their_options_exist(page):
+def test_commands_and_options_of_a_page_exist(page):
     lines = [line for line in commands(page) if not re.match("slgaussian (--|COMMAND)", line)]
-    wrong = {line: reason for line in lines if (reason := problem(line))}
+    wrong = {line: reason for line in lines if (reason := find_problem(line))}
     benches = re.findall(r"python3? -m (benches\..*)", "\n".join(lines_of_code(page)))
-    wrong |= {line: reason for line in benches if (reason := problem_of_bench(line))}
+    wrong |= {line: reason for line in benches if (reason := find_bench_problem(line))}
     assert wrong == {}
 
 
 @pytest.mark.parametrize("page", MEASURED, ids=name)
-def test_a_measured_page_says_when_of_which_commit_and_where(page):
+def test_measured_page_names_date_commit_and_machine(page):
     """In the form that ``harness.py`` writes; each section of an old bench names its commit."""
     if page.stem == "earlier":
         sections = read(page).split("\n## ")[1:]
@@ -209,14 +209,14 @@ def test_a_measured_page_says_when_of_which_commit_and_where(page):
         assert MEASURED_ON.search(read(page)), "run its maker, which writes that line"
 
 
-def test_the_page_of_commands_has_each_of_them_once():
+def test_commands_page_lists_each_command_once():
     listed = re.findall(
         r"^\| `slgaussian (\w+)` \|", read(ROOT / "docs/reference/commands.md"), re.M
     )
     assert sorted(listed) == sorted(COMMANDS.commands)
 
 
-def test_one_version_is_cited_and_described():
+def test_version_is_equal_in_all_files():
     version = tomllib.loads(read(ROOT / "pyproject.toml"))["project"]["version"]
     cited = yaml.safe_load(read(ROOT / "CITATION.cff"))
     assert cited["version"] == version == slgaussian.__version__

@@ -8,7 +8,7 @@ SEED, COUNT = 1, 12
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_damaged_file_is_read_or_named(name, tmp_path, recwarn):
+def test_damaged_file_is_read_or_refused_by_name(name, tmp_path, recwarn):
     folder = tmp_path / "set"
     folder.mkdir()
     FORMATS[name].make(folder)

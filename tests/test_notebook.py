@@ -20,21 +20,23 @@ assert set(np.unique(labels)) >= {1, 2, 3, 4}
 """Of the motorcycle, "red" lights up its tank and mudguards, and the box behind."""
 
 
-def drawn(cell: dict) -> int:
+def count_pictures(cell: dict) -> int:
     return sum("image/jpeg" in output.get("data", {}) for output in cell.get("outputs", []))
 
 
-def test_it_runs_and_answers(tmp_path):
+def test_notebook_runs_and_answers(tmp_path):
     stored = nbformat.read(NOTEBOOK, as_version=4)
     book = nbformat.read(NOTEBOOK, as_version=4)
     book.cells.append(nbformat.v4.new_code_cell(f"import numpy as np\n{ANSWERED}"))
     place = {"metadata": {"path": str(tmp_path)}}
     nbclient.NotebookClient(book, timeout=600, startup_timeout=300, resources=place).execute()
     # The pictures that readers see without running it are still those that it draws.
-    assert [drawn(cell) for cell in book.cells[:-1]] == [drawn(cell) for cell in stored.cells]
-    assert sum(map(drawn, book.cells)) >= 4
+    assert [count_pictures(cell) for cell in book.cells[:-1]] == [
+        count_pictures(cell) for cell in stored.cells
+    ]
+    assert sum(map(count_pictures, book.cells)) >= 4
     assert (tmp_path / "field" / "field.json").is_file()
 
 
-def test_it_is_small_enough_to_read_on_a_forge():
+def test_notebook_is_small_enough_for_a_forge():
     assert NOTEBOOK.stat().st_size < 300_000

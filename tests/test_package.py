@@ -22,21 +22,7 @@ assert not bad, bad
 """
 
 
-def test_the_library_never_imports_the_pipeline():
-    subprocess.run([sys.executable, "-c", CHECK], cwd=ROOT, check=True)
-
-
-def test_importing_the_package_is_light():
-    heavy = "import sys, slgaussian; assert not {'torch', 'numba', 'cv2'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", heavy], cwd=ROOT, check=True)
-
-
-def test_rasterize_is_the_call_however_often_it_is_looked_up():
-    for _ in range(2):
-        assert callable(slgaussian.rasterize)
-    with pytest.raises(slgaussian.InputError, match="unknown rasterize settings"):
-        slgaussian.rasterize(SimpleNamespace(reach=float), None, 1, settings="slow")
-
+LIGHT = "import sys, slgaussian; assert not {'torch', 'numba', 'cv2'} & set(sys.modules)"
 
 # What Windows and macOS have not, and no /proc.
 ELSEWHERE = """
@@ -67,5 +53,15 @@ assert len(field.gaussians) and field.query("red").verdict
 """
 
 
-def test_a_field_is_built_without_what_only_linux_has():
-    subprocess.run([sys.executable, "-c", ELSEWHERE], cwd=ROOT, check=True)
+@pytest.mark.parametrize(
+    "program", [CHECK, LIGHT, ELSEWHERE], ids=["no pipeline", "no heavy import", "no linux"]
+)
+def test_package_works_in_a_new_process(program):
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
+
+
+def test_rasterize_stays_callable_after_lookup():
+    for _ in range(2):
+        assert callable(slgaussian.rasterize)
+    with pytest.raises(slgaussian.InputError, match="unknown rasterize settings"):
+        slgaussian.rasterize(SimpleNamespace(reach=float), None, 1, settings="slow")

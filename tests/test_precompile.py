@@ -37,7 +37,7 @@ LATER = (
 
 @pytest.mark.whole
 @pytest.mark.skipif(threads.cores() < 2, reason="needs two cores")
-def test_nothing_that_was_compiled_ahead_is_compiled_again(tmp_path, monkeypatch, capsys):
+def test_precompiled_kernels_are_not_compiled_again(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     begun = precompile.begin()
     assert begun is not None and begun.wait(300) == 0

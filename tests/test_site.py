@@ -29,7 +29,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_page_is_there(site):
+def test_site_has_every_page(site):
     pages = [page.relative_to(ROOT / "docs") for page in (ROOT / "docs").rglob("*.md")]
     assert [page for page in pages if not (site / page.with_suffix(".html")).is_file()] == []
     for page in ("start", "contributing", "changelog", "two_photographs"):
@@ -37,6 +37,6 @@ def test_every_page_is_there(site):
     assert "data:image/jpeg;base64," in (site / "two_photographs.html").read_text("utf-8")
 
 
-def test_pages_load_nothing_from_elsewhere(site):
+def test_site_loads_nothing_from_elsewhere(site):
     pages = [page.read_text("utf-8") for page in site.rglob("*.html")]
     assert [address for page in pages for address in LOADED.findall(page)] == []

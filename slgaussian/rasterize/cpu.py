@@ -35,8 +35,9 @@ def render(
     }
     gaussians = replace(gaussians, **arrays)
     values = values.to("cpu", torch.float32).contiguous()
+    eye = make_eye(camera, settings)
     image, alpha, depth, middle = _Splatting.apply(
-        *arrays.values(), values, gaussians, make_eye(camera, settings), settings, median
+        gaussians, eye, settings, median, *arrays.values(), values
     )
     return Render(image, alpha, depth, middle if median else None)
 
@@ -45,43 +46,32 @@ class _Splatting(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any,
-        means: torch.Tensor,
-        scales: torch.Tensor,
-        quats: torch.Tensor,
-        opacities: torch.Tensor,
-        values: torch.Tensor,
         gaussians: Gaussians,
         eye: Eye,
         settings: Settings,
         median: bool,
+        *tensors: torch.Tensor,
     ) -> tuple[torch.Tensor, ...]:
-        arrays = [t.detach().numpy() for t in (means, scales, quats, opacities)]
-        drawn, scene = draw_splats(
-            gaussians, arrays, values.detach().numpy(), eye, settings, median
-        )
+        *geometry, values = (t.detach().numpy() for t in tensors)
+        drawn, scene = draw_splats(gaussians, geometry, values, eye, settings, median)
         image, alpha, depth, middle = (torch.from_numpy(array) for array in drawn)
         if any(ctx.needs_input_grad):
-            ctx.save_for_backward(means, scales, quats, opacities, values, alpha, depth)
+            ctx.save_for_backward(*tensors, alpha, depth)
             ctx.drawn = scene, eye
         ctx.mark_non_differentiable(middle)
         return image, alpha, depth, middle
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(
-        ctx: Any,
-        d_image: torch.Tensor,
-        d_alpha: torch.Tensor,
-        d_depth: torch.Tensor,
-        *_: torch.Tensor,
-    ) -> tuple[torch.Tensor | None, ...]:
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         *geometry, _, alpha, depth = (t.detach().numpy() for t in ctx.saved_tensors)
+        d_image, d_alpha, d_depth = (t.numpy() for t in upstream[:3])
         scene, eye = ctx.drawn
-        # The mean depth is the composited z over alpha.
-        d_z = np.divide(d_depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0)
-        d_accumulated = d_alpha.numpy() - d_z * depth
+        # The mean depth is the composited z over alpha, so that its gradient reaches both.
+        d_z = np.divide(d_depth, alpha, out=np.zeros_like(alpha), where=alpha > 0)
         firsts = count_tiles(scene.boxes)
-        upstream = np.ascontiguousarray(d_image.numpy()), d_accumulated, d_z
-        grads = draw_backward(scene, firsts, *upstream)
+        grads = draw_backward(
+            scene, firsts, np.ascontiguousarray(d_image), d_alpha - d_z * depth, d_z
+        )
         gradients = project_backward(geometry, eye, scene.splats, firsts, grads)
-        return *(torch.from_numpy(array) for array in gradients), None, None, None, None
+        return None, None, None, None, *(torch.from_numpy(array) for array in gradients)

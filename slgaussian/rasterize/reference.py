@@ -28,8 +28,7 @@ def project(
     device = gaussians.means.device
     centre = torch.from_numpy(camera.center).to(device)
     R = torch.from_numpy(camera.c2w[:3, :3].T.copy()).to(device)
-    fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
-    skew = camera.K[0, 1]
+    (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
     x, y, depth = ((gaussians.means - centre) @ R.T).unbind(-1)
     z = torch.where(depth > settings.near, depth, torch.ones_like(depth))
     x, y = x / z, y / z

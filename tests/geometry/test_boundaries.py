@@ -12,7 +12,7 @@ from slgaussian.geometry.boundaries import (
 )
 
 
-def test_a_slanted_plane_is_no_border():
+def test_depth_boundary_is_zero_on_a_slanted_plane():
     rows = np.linspace(1, 0.2, 60)[:, None]  # inverse depth of a floor
     floor = (1 / np.repeat(rows, 80, 1)).astype(np.float32)
     assert depth_boundary(floor).max() < 1e-4  # float32 of inverse depth near 1: about 1e-7
@@ -59,14 +59,14 @@ def steep_codes(seed):
 @pytest.mark.parametrize("ordered", [False, True])
 @pytest.mark.parametrize("radius", [1, 3, 4, 6])
 @pytest.mark.parametrize(("make", "bins"), [(random_codes, 5), (steep_codes, 20)])
-def test_half_disc_equals_its_plain_reference(make, bins, radius, ordered):
+def test_half_disc_equals_the_plain_reference(make, bins, radius, ordered):
     codes = make(radius)
     fast = half_disc(codes, bins, radius, ordered)
     # Sums of tens of float32 terms of order 0.1: the noise is about 1e-6.
     np.testing.assert_allclose(fast, plain_half_disc(codes, bins, radius, ordered), atol=5e-6)
 
 
-def test_strength_is_the_greatest_blurred_sum_of_its_cues():
+def test_boundary_map_is_the_greatest_sum_of_its_cues():
     """A photograph of random patches, in float64; SciPy's blur and an area mean of 2x2 pixels."""
     rng = np.random.default_rng(5)
     lab = np.kron(rng.uniform((20, -40, -40), (90, 40, 40), (5, 6, 3)), np.ones((4, 4, 1)))
@@ -88,7 +88,7 @@ def test_strength_is_the_greatest_blurred_sum_of_its_cues():
     np.testing.assert_allclose(boundary_map(lab), np.max(total, 0), atol=2e-5)
 
 
-def test_a_jump_of_depth_is_half_at_most_and_blurred_by_a_pixel():
+def test_depth_boundary_of_a_jump_is_blurred_and_at_most_half():
     depth = np.full((20, 40), 1.0, np.float32)
     depth[:, 20:] = 1.3
     bend = np.zeros((20, 40))
@@ -99,7 +99,7 @@ def test_a_jump_of_depth_is_half_at_most_and_blurred_by_a_pixel():
 
 @pytest.mark.parametrize("degrees", [0, 45, 90, 135])
 @pytest.mark.parametrize(("step", "level"), [(0, 0), (10, 1), (60, 2)])
-def test_texture_codes_say_direction_and_strength_of_an_edge(degrees, step, level):
+def test_texture_codes_hold_direction_and_strength_of_an_edge(degrees, step, level):
     y, x = np.mgrid[-15:16, -15:16]
     across = x * np.cos(np.radians(degrees)) + y * np.sin(np.radians(degrees))
     code = texture_codes((30 + step * (across > 0)).astype(np.float32))[15, 15]

@@ -24,14 +24,14 @@ def room():
     return [view.camera for view in views], [view.depth for view in views]
 
 
-def moved(camera: Camera, turn: np.ndarray, shift: np.ndarray, scale: float) -> Camera:
+def move_camera(camera: Camera, turn: np.ndarray, shift: np.ndarray, scale: float) -> Camera:
     c2w = camera.c2w.copy()
     c2w[:3, :3] = turn @ c2w[:3, :3]
     c2w[:3, 3] = scale * (turn @ c2w[:3, 3]) + shift
     return Camera(camera.K, c2w, camera.width, camera.height)
 
 
-def test_a_room_stands_on_its_floor(room):
+def test_find_room_finds_up_floor_and_unit(room):
     cameras, depths = room
     result = find_room(cameras, depths)
     assert result.up[2] > np.cos(np.radians(0.2))
@@ -49,11 +49,11 @@ def test_a_room_stands_on_its_floor(room):
     st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
     st.floats(0.05, 20),
 )
-def test_axes_and_unit_of_the_poses_do_not_matter(room, turn, scale):
+def test_find_room_is_equal_for_any_axes_and_unit(room, turn, scale):
     cameras, depths = room
     turn = Rotation.from_quat(turn).as_matrix()
     shift = np.array([3.0, -2.0, 1.0]) * scale
-    changed = [moved(camera, turn, shift, scale) for camera in cameras]
+    changed = [move_camera(camera, turn, shift, scale) for camera in cameras]
     result = find_room(changed, [depth * np.float32(scale) for depth in depths])
     # A world axis so near to up is taken for it.
     assume(np.abs(turn[:, 2]).max() < np.cos(np.radians(LEVEL_TOLERANCE / 2)))
@@ -65,15 +65,15 @@ def test_axes_and_unit_of_the_poses_do_not_matter(room, turn, scale):
     np.testing.assert_allclose(height, plain.place(cameras[0], depths[0]).height, atol=0.01)
 
 
-def test_a_world_axis_near_up_is_taken_for_it(room):
+def test_find_room_prefers_a_world_axis_near_up(room):
     cameras, depths = room
     turn = Rotation.from_euler("x", LEVEL_TOLERANCE / 4, degrees=True).as_matrix()
-    changed = [moved(camera, turn, np.zeros(3), 1) for camera in cameras]
+    changed = [move_camera(camera, turn, np.zeros(3), 1) for camera in cameras]
     np.testing.assert_array_equal(find_room(changed, depths).up, [0, 0, 1])
 
 
 @pytest.fixture(scope="module")
-def fixed():
+def pitched_cameras():
     """Two cameras pitched by 25 degrees in the first one's frame, which is rolled by 10, with true
     depths and true up."""
     eyes = np.array([[-0.3, -3.0, 1.6], [0.3, -3.0, 1.6]])
@@ -87,28 +87,28 @@ def fixed():
     return result, depths, frame[:3, 2]
 
 
-def off(room, up: np.ndarray) -> float:
+def measure_angle(room, up: np.ndarray) -> float:
     return float(np.degrees(np.arccos(min(1, room.up @ up))))
 
 
-def test_axes_of_found_cameras_are_not_taken_for_up(fixed):
-    cameras, depths, up = fixed
+def test_find_room_ignores_axes_of_estimated_cameras(pitched_cameras):
+    cameras, depths, up = pitched_cameras
     result = find_room(cameras, depths)
-    assert off(result, up) < 1
+    assert measure_angle(result, up) < 1
     assert result.floor == pytest.approx(-1.6, rel=0.02)  # the first camera is the origin
     # An axis near up, which would be taken for it if these cameras were given.
     near = np.array([np.sin(np.radians(2.5)), -np.cos(np.radians(2.5)), 0])
     level = Rotation.align_vectors([near], [up])[0].as_matrix()
     turned = [
-        replace(moved(camera, level, np.zeros(3), 1), estimated=cameras[0].estimated)
+        replace(move_camera(camera, level, np.zeros(3), 1), estimated=cameras[0].estimated)
         for camera in cameras
     ]
-    assert off(find_room(turned, depths), near) < 1
+    assert measure_angle(find_room(turned, depths), near) < 1
     of_given_cameras = find_room([replace(camera, estimated=None) for camera in turned], depths)
     np.testing.assert_array_equal(of_given_cameras.up, [0, -1, 0])
 
 
-def test_without_a_floor_nothing_is_said_of_heights(room):
+def test_find_room_without_a_floor_has_no_heights(room):
     cameras, depths = room
     cut = [
         np.where(c.unproject(d)[..., 2] > 0.6, d, 0) for c, d in zip(cameras, depths, strict=True)

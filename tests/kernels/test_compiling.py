@@ -8,7 +8,7 @@ import pytest
 from slgaussian.kernels import compiling
 
 
-def test_the_clock_stands_still_while_a_kernel_is_compiled():
+def test_clock_excludes_compilation():
     @numba.njit
     def twice(x):
         return 2 * x

@@ -13,7 +13,7 @@ from slgaussian.scene import Sample
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
 
 
-def test_a_seed_is_the_same_everywhere():
+def test_seed_for_is_pinned():
     assert seed_for(0, "room", "codes") == 9262441233058351170
 
 
@@ -23,7 +23,7 @@ def room() -> Sample:
     return result.sample(["view_00", "view_02"], ["view_01"])
 
 
-def test_type_shape_and_values_are_the_content():
+def test_content_depends_on_dtype_shape_and_values():
     flat = np.arange(6, dtype=np.int32)
     rest = [flat.reshape(2, 3), flat.astype(np.int64), flat.astype(np.float32), flat + 1]
     assert len({content_of(array) for array in (flat, *rest)}) == 5
@@ -31,7 +31,7 @@ def test_type_shape_and_values_are_the_content():
     assert content_of(flat[:3], flat[3:]) != content_of(flat)
 
 
-def test_a_sample_is_what_its_context_shows(room):
+def test_sample_content_depends_on_its_context_alone(room):
     first, second = room.context
     brighter = first.image.copy()
     brighter[0, 0, 0] ^= 1
@@ -52,13 +52,13 @@ SHARES = st.floats(0, 1)
 
 
 @given(st.text(), SHARES, SHARES)
-def test_a_greater_share_keeps_what_a_smaller_one_does(clip, item, alternative):
+def test_held_out_places_of_a_smaller_fraction_stay(clip, item, alternative):
     low, high = sorted((item, alternative))
     assert held_out(clip, high) or not held_out(clip, low)
     assert not held_out(clip, 0) and held_out(clip, 1)
 
 
-def test_about_the_share_is_held_out_and_always_the_same():
+def test_held_out_share_is_as_asked_and_pinned():
     """4 standard deviations of 4000 draws are 0.025; the first held-out names are pinned."""
     stored = [held_out(f"clip {k}", 0.2) for k in range(4000)]
     assert abs(sum(stored) / 4000 - 0.2) < 0.025

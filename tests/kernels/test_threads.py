@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from slgaussian.kernels import threads
 
 
-def placed(values: torch.Tensor, offset: int) -> torch.Tensor:
+def place_at_offset(values: torch.Tensor, offset: int) -> torch.Tensor:
     """The same values, ``offset`` floats past a boundary of 64 bytes."""
     room = torch.empty(values.numel() + 32)
     start = -(room.data_ptr() // 4) % 16 + offset
@@ -21,13 +21,16 @@ def placed(values: torch.Tensor, offset: int) -> torch.Tensor:
 
 @pytest.mark.parametrize("rows", [1, 3, 9, 50])
 @pytest.mark.parametrize("side", [24, 64, 512])
-def test_weights_give_the_same_bytes_wherever_they_begin(rows, side):
+def test_linear_is_equal_for_any_alignment_of_weights(rows, side):
     state = torch.Generator().manual_seed(rows)
     x = torch.randn(rows, side, generator=state)
     weights, bias = torch.randn(side, side, generator=state), torch.randn(side, generator=state)
     with threads.fixed(1):
-        result = [F.linear(x, placed(weights, i), placed(bias, i)) for i in (0, 1, 2, 4, 7)]
-        result += [F.linear(placed(x, i), weights, bias) for i in (1, 2, 4, 7)]
+        result = [
+            F.linear(x, place_at_offset(weights, i), place_at_offset(bias, i))
+            for i in (0, 1, 2, 4, 7)
+        ]
+        result += [F.linear(place_at_offset(x, i), weights, bias) for i in (1, 2, 4, 7)]
     assert all(torch.equal(result[0], second) for second in result)
 
 
@@ -55,7 +58,7 @@ def sizes():
 
 @pytest.mark.usefixtures("sizes")
 @pytest.mark.parametrize("waste", [0, threads.LARGE_NETWORK])
-def test_a_network_says_the_same_bytes_with_any_number_of_threads(waste):
+def test_network_is_equal_for_any_number_of_threads(waste):
     network, result = Small(waste), []
     x = torch.randn(2, 10, 64, 64, generator=torch.Generator().manual_seed(1))
     for count in (1, 2, 3, 8):
@@ -68,7 +71,7 @@ def test_a_network_says_the_same_bytes_with_any_number_of_threads(waste):
 
 
 @pytest.mark.usefixtures("sizes")
-def test_what_one_thread_fixes_another_does_not_see():
+def test_fixed_threads_are_of_the_calling_thread_alone():
     view, (ready, inside, done) = {}, (threading.Event() for _ in range(3))
 
     def second():
@@ -90,7 +93,7 @@ def test_what_one_thread_fixes_another_does_not_see():
     assert view == {"before": 2, "while": 2}
 
 
-def test_every_module_with_a_kernel_imports_what_makes_it_one_at_its_top():
+def test_modules_with_kernels_import_their_compiler_at_the_top():
     """The digest of :func:`slgaussian.kernels.threads.sources` relies on it."""
     kernels = re.compile(rb"^@(kernel|(numba\.)?njit|intrinsic)\b", re.MULTILINE)
     for file in Path(threads.__file__).parents[1].rglob("*.py"):

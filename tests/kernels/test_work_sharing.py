@@ -24,7 +24,7 @@ def _count(counter, items):
 
 @pytest.mark.parametrize("portions", [0, 1, 7, 100_000])
 @pytest.mark.parametrize("threads", [1, 2, 50])
-def test_every_portion_is_taken_once(portions, threads):
+def test_share_takes_every_portion_once(portions, threads):
     items = np.zeros(portions, np.int64)
     with kernels_on(threads):
         share(_count, portions, items)
@@ -32,20 +32,20 @@ def test_every_portion_is_taken_once(portions, threads):
 
 
 @pytest.mark.parametrize("threads", [1, 2, 50])
-def test_results_of_items_are_in_order_and_items_can_share(threads):
-    def counted(size, plus):
+def test_share_items_keeps_the_order_of_nested_work(threads):
+    def count_items(size, plus):
         items = np.full(size, plus)
         share(_count, size, items)
         return items.sum()
 
     with kernels_on(threads):
-        sums = share_items(counted, range(40), range(40))
+        sums = share_items(count_items, range(40), range(40))
     assert sums == [size * (size + 1) for size in range(40)]
     with pytest.raises(ZeroDivisionError), kernels_on(threads):
         share_items(lambda number: 1 // number, range(3))
 
 
-def test_several_threads_are_in_a_kernel_at_once():
+def test_share_runs_threads_at_once():
     """Each thread waits for the other: with Python's lock held, one would wait forever."""
     met, both = [], threading.Barrier(2, timeout=60)
 
@@ -70,7 +70,7 @@ def _go_on(counter):
     return items
 
 
-def test_python_goes_on_while_a_kernel_runs():
+def test_kernel_releases_the_lock_of_python():
     _go_on(np.full(1, MANY))  # compiled
     counter, items = np.zeros(1, np.int64), []
     runs = threading.Thread(target=lambda: items.append(_go_on(counter)))
@@ -82,7 +82,7 @@ def test_python_goes_on_while_a_kernel_runs():
     assert items[0] < MANY
 
 
-def test_what_a_helper_raises_is_raised():
+def test_share_raises_the_error_of_a_helper():
     both = threading.Barrier(2, timeout=60)
     caller = threading.get_ident()
 
@@ -95,7 +95,7 @@ def test_what_a_helper_raises_is_raised():
         share(fail, 2)
 
 
-def test_a_size_is_the_calling_threads_own():
+def test_allotted_threads_are_of_the_calling_thread_alone():
     before = allotted()
     with kernels_on(before + 3):
         view = []
@@ -107,7 +107,7 @@ def test_a_size_is_the_calling_threads_own():
     assert allotted() == before
 
 
-def _forked(connection) -> None:
+def _share_in_fork(connection) -> None:
     both = threading.Barrier(2, timeout=20)
     with kernels_on(2):
         share(lambda counter: both.wait(), 2)
@@ -116,11 +116,11 @@ def _forked(connection) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_forked_process_shares_with_threads_of_its_own():
+def test_share_starts_own_threads_after_a_fork():
     with kernels_on(2):
         share(_count, 100, np.zeros(100, np.int64))  # the pool has begun
     ours, theirs = multiprocessing.Pipe()
-    child = multiprocessing.get_context("fork").Process(target=_forked, args=(theirs,))
+    child = multiprocessing.get_context("fork").Process(target=_share_in_fork, args=(theirs,))
     child.start()
     assert ours.poll(60) and ours.recv() == "met"
     child.join()

@@ -73,13 +73,15 @@ def case(name: str) -> Case:
 
 
 @cache
-def _truth(name: str, settings: Settings) -> Render:
+def _render_reference(name: str, settings: Settings) -> Render:
     return rasterize(*case(name), backend="reference", settings=settings)
 
 
 def measure(name: str, settings: str) -> Errors:
     """Errors of the cpu backend with ``settings`` on the case of that name."""
-    true = _truth(name, replace(PRESETS[settings], alpha_min=0.0, sigmas=math.inf, pass_min=0.0))
+    true = _render_reference(
+        name, replace(PRESETS[settings], alpha_min=0.0, sigmas=math.inf, pass_min=0.0)
+    )
     fast = rasterize(*case(name), backend="cpu", settings=settings)
     solid = true.alpha > 0.5
     depth = (fast.depth.double() - true.depth)[solid] / true.depth[solid]
@@ -103,7 +105,7 @@ def camera(
     return Camera(K, np.eye(4) if c2w is None else c2w, width, height)
 
 
-def rotated(seed: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+def rotate_randomly(seed: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     """A camera-to-world pose with a random rotation."""
     R, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     c2w = np.eye(4)
@@ -112,7 +114,7 @@ def rotated(seed: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     return c2w
 
 
-def seen_at(view: Camera, u: Any, v: Any, z: Any) -> torch.Tensor:
+def unproject_pixels(view: Camera, u: Any, v: Any, z: Any) -> torch.Tensor:
     """World points float32 [N, 3] that ``view`` shows at pixels (u, v) and depths z."""
     u, v, z = (a.reshape(-1) for a in np.broadcast_arrays(u, v, np.asarray(z, np.float64)))
     local = np.stack([u, v, np.ones_like(z)], -1) @ np.linalg.inv(view.K).T * z[:, None]
@@ -123,19 +125,21 @@ def seen_at(view: Camera, u: Any, v: Any, z: Any) -> torch.Tensor:
 def splats(
     means: Any, scales: Any = 0.1, opacities: Any = 0.8, quats: Any = (1.0, 0.0, 0.0, 0.0)
 ) -> Gaussians:
-    """Gaussians from what is given, each spread over all of them."""
-    means = torch.as_tensor(means, dtype=torch.float32).reshape(-1, 3)
+    """Gaussians from what is given, each spread over all of them; float64 if the means are."""
+    dtype = getattr(means, "dtype", None)
+    dtype = torch.float64 if dtype == torch.float64 else torch.float32
+    means = torch.as_tensor(means, dtype=dtype).reshape(-1, 3)
     n = len(means)
 
     def spread(numbers: Any, *shape: int) -> torch.Tensor:
-        return torch.as_tensor(numbers, dtype=torch.float32).expand(*shape).contiguous()
+        return torch.as_tensor(numbers, dtype=dtype).expand(*shape).contiguous()
 
     return Gaussians(
         means=means,
         scales=spread(scales, n, 3),
         quats=spread(quats, n, 4),
         opacities=spread(opacities, n),
-        sh=torch.zeros(n, 1, 3),
+        sh=torch.zeros(n, 1, 3, dtype=dtype),
         source=torch.arange(n, dtype=torch.int32),
     )
 
@@ -159,7 +163,7 @@ class _Random:
         """Points in the image of ``view`` and a little around it."""
         u = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * view.width
         v = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * view.height
-        return seen_at(view, u, v, self.magnitudes(n, low=low, high=high).numpy())
+        return unproject_pixels(view, u, v, self.magnitudes(n, low=low, high=high).numpy())
 
 
 def cloud(n: int, seed=0, size=0.3, view=None, channels=5) -> tuple[Gaussians, torch.Tensor]:
@@ -175,7 +179,7 @@ def cloud(n: int, seed=0, size=0.3, view=None, channels=5) -> tuple[Gaussians, t
 
 def ordinary_cloud() -> Scene:
     """A hundred Gaussians of every shape; the control."""
-    view = camera(48, 32, 40, c2w=rotated(1, (1.0, -2.0, 0.5)))
+    view = camera(48, 32, 40, c2w=rotate_randomly(1, (1.0, -2.0, 0.5)))
     return *cloud(100, 1, 0.2, view), view
 
 
@@ -183,7 +187,9 @@ def a_gaussian_per_pixel() -> Scene:
     """Return a surface of small opaque discs twice, as two pixel-aligned views predict it."""
     view, r = camera(32, 24, 30), _Random(2)
     u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
-    means = [seen_at(view, u + shift, v, 3 + 0.5 * np.sin(u / 9) + shift) for shift in (0, 0.3)]
+    means = [
+        unproject_pixels(view, u + shift, v, 3 + 0.5 * np.sin(u / 9) + shift) for shift in (0, 0.3)
+    ]
     n = 2 * 32 * 24
     scales = torch.stack([r.uniform(n, low=0.04, high=0.1)] * 2 + [torch.full((n,), 0.005)], -1)
     opacities, quats = r.uniform(n, low=0.5), r.quats(n) * 0.1 + torch.tensor([1.0, 0, 0, 0])
@@ -232,7 +238,7 @@ def pancakes_on_edge() -> Scene:
     view, r = camera(48, 32, 40), _Random(9)
     half = r.uniform(24, high=math.pi)
     quats = torch.stack([half.cos(), 0 * half, 0 * half, half.sin()], -1)
-    means = seen_at(view, r.uniform(24).numpy() * 48, r.uniform(24).numpy() * 32, 3.0)
+    means = unproject_pixels(view, r.uniform(24).numpy() * 48, r.uniform(24).numpy() * 32, 3.0)
     return splats(means, [1.0, 1e-6, 1.0], r.uniform(24), quats), r.uniform(24, 3), view
 
 
@@ -241,7 +247,11 @@ def subpixel() -> Scene:
     view, r = camera(), _Random(12)
     u = np.concatenate([[4.5, 5.0, 8.0, 8.0, 16.0, 31.999], 32 * r.uniform(60).double().numpy()])
     v = np.concatenate([[4.5, 4.5, 8.0, 16.0, 16.0, 23.999], 24 * r.uniform(60).double().numpy()])
-    return splats(seen_at(view, u, v, 3.0), 1e-5, r.uniform(66, low=0.3)), r.uniform(66, 3), view
+    return (
+        splats(unproject_pixels(view, u, v, 3.0), 1e-5, r.uniform(66, low=0.3)),
+        r.uniform(66, 3),
+        view,
+    )
 
 
 def one_covers_the_image() -> Scene:
@@ -275,7 +285,7 @@ def opaque_right_at_pixel_centres() -> Scene:
     """Opacity 1 with its peak on the pixel: nothing at all is let through to what follows."""
     view, r = camera(), _Random(19)
     u, v = np.meshgrid(np.arange(0, 32, 3) + 0.5, np.arange(0, 24, 3) + 0.5)
-    means = torch.cat([seen_at(view, u, v, z) for z in (2.0, 3.0)])
+    means = torch.cat([unproject_pixels(view, u, v, z) for z in (2.0, 3.0)])
     return splats(means, 0.05, 1.0), r.uniform(len(means), 3), view
 
 
@@ -321,7 +331,7 @@ def _with_quaternions(low: float, high: float, seed: int) -> Scene:
 
 
 def _with_focal(focal: float, seed: int) -> Scene:
-    view, r = camera(48, 32, focal, c2w=rotated(seed)), _Random(seed)
+    view, r = camera(48, 32, focal, c2w=rotate_randomly(seed)), _Random(seed)
     means = r.inside(view, 80)
     z = torch.from_numpy(view.project(means.double().numpy())[1]).float()
     scales = r.magnitudes(80, 3, low=0.1, high=10) * z[:, None] / focal
@@ -332,7 +342,9 @@ def astronomical_and_microscopic() -> Scene:
     """Depths from the near plane to 1e8, each Gaussian a few pixels wide."""
     view, r = wide(30), _Random(30)
     z = r.magnitudes(80, low=0.011, high=1e8)
-    means = seen_at(view, r.uniform(80).numpy() * 48, r.uniform(80).numpy() * 32, z.numpy())
+    means = unproject_pixels(
+        view, r.uniform(80).numpy() * 48, r.uniform(80).numpy() * 32, z.numpy()
+    )
     scales = r.uniform(80, 3, low=0.01, high=0.2) * z[:, None]
     return splats(means, scales, r.uniform(80), r.quats(80)), r.uniform(80, 3), view
 
@@ -362,12 +374,12 @@ def _uniform(low: float, high: float) -> Callable[[_Random, int], torch.Tensor]:
     return lambda r, n: r.uniform(n, 3, low=low, high=high)
 
 
-def _seen(n: int, seed: int, size: float, view: Camera) -> Scene:
+def _cloud(n: int, seed: int, size: float, view: Camera) -> Scene:
     return *cloud(n, seed, size, view, 3), view
 
 
 def wide(seed: int, **settings: Any) -> Camera:
-    return camera(48, 32, settings.pop("focal", 40), c2w=rotated(seed), **settings)
+    return camera(48, 32, settings.pop("focal", 40), c2w=rotate_randomly(seed), **settings)
 
 
 CASES: dict[str, Callable[[], Scene]] = {
@@ -396,21 +408,21 @@ CASES: dict[str, Callable[[], Scene]] = {
     # Camera and scene a million units from the origin, where float32 places are 0.06 apart.
     "a_million_units_away": lambda: _random(
         29, 80, _uniform(0.05, 2),
-        camera(48, 32, 40, c2w=rotated(29, (1e6, -1e6, 1e6))), low=8, high=24,
+        camera(48, 32, 40, c2w=rotate_randomly(29, (1e6, -1e6, 1e6))), low=8, high=24,
     ),
     "nothing": lambda: (splats(torch.zeros(0, 3)), torch.zeros(0, 3), camera()),
-    "image_of_1x1": lambda: _seen(60, 32, 0.5, camera(1, 1, 1, c2w=rotated(32))),
+    "image_of_1x1": lambda: _cloud(60, 32, 0.5, camera(1, 1, 1, c2w=rotate_randomly(32))),
     # A pixel more than tiles of 8 to 32.
-    "image_of_17x33": lambda: _seen(60, 34, 0.5, camera(17, 33, 33, c2w=rotated(34))),
+    "image_of_17x33": lambda: _cloud(60, 34, 0.5, camera(17, 33, 33, c2w=rotate_randomly(34))),
     # A window cut from far off the middle of a large image.
-    "principal_point_far_outside": lambda: _seen(80, 36, 0.5, wide(36, focal=60, cx=-400, cy=300)),
+    "principal_point_far_outside": lambda: _cloud(80, 36, 0.5, wide(36, focal=60, cx=-400, cy=300)),
     # Rows shifted by a third of a pixel each, and the far corner off-axis.
-    "skewed_pixels": lambda: _seen(80, 38, 0.3, wide(38, focal=60, skew=20.0, cx=10)),
+    "skewed_pixels": lambda: _cloud(80, 38, 0.3, wide(38, focal=60, skew=20.0, cx=10)),
     # Ten times as wide as high.
-    "pixels_that_are_not_square": lambda: _seen(80, 39, 0.2, wide(39, focal=20, aspect=10.0)),
+    "pixels_that_are_not_square": lambda: _cloud(80, 39, 0.2, wide(39, focal=20, aspect=10.0)),
     # A rotation that is one only to a thousandth, as in files that print few digits.
-    "a_pose_of_three_digits": lambda: _seen(
-        80, 40, 0.3, camera(48, 32, 40, c2w=rotated(40).round(4))
+    "a_pose_of_three_digits": lambda: _cloud(
+        80, 40, 0.3, camera(48, 32, 40, c2w=rotate_randomly(40).round(4))
     ),
     "no_channel": lambda: _with_channels(0, 41),
     "seven_channels": lambda: _with_channels(7, 43),  # no multiple of what is summed at once

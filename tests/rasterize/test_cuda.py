@@ -27,7 +27,7 @@ CASES = [
 ]  # fmt: skip
 
 
-def on_gpu(splats: Gaussians) -> Gaussians:
+def move_to_gpu(splats: Gaussians) -> Gaussians:
     return Gaussians(**{name: t.cuda() for name, t in splats.items()})
 
 
@@ -40,23 +40,23 @@ def on_gpu(splats: Gaussians) -> Gaussians:
         (camera(), {"settings": Settings(alpha_max=0.5)}, r"alpha_max: found 0\.5, expected 0\.99"),
     ],
 )
-def test_what_gsplat_cannot_do_is_refused(view, options, sentence):
+def test_cuda_refuses_requests_that_gsplat_lacks(view, options, sentence):
     with pytest.raises(InputError, match=sentence):
         rasterize(*cloud(5), view, backend="cuda", **options)
 
 
 @pytest.mark.skipif(find_spec("gsplat") is not None, reason="gsplat is installed")
-def test_without_gsplat_the_sentence_says_how_to_get_it():
+def test_load_gsplat_names_the_install_line_without_gsplat():
     with pytest.raises(InputError, match=r"No module named 'gsplat'.*pip install 'gsplat"):
         load_gsplat()
 
 
 @needs_gpu
 @pytest.mark.parametrize("name", CASES)
-def test_against_the_reference(name):
+def test_cuda_renders_as_the_reference(name):
     scene = case(name)
     true = rasterize(*scene, backend="reference", settings=Settings())
-    drawn = rasterize(on_gpu(scene.gaussians), scene.values.cuda(), scene.camera)
+    drawn = rasterize(move_to_gpu(scene.gaussians), scene.values.cuda(), scene.camera)
     assert drawn.values.is_cuda
     assert drawn.values.shape == true.values.shape
     torch.testing.assert_close(drawn.values.cpu().double(), true.values, atol=TOLERANCE, rtol=0)
@@ -68,7 +68,7 @@ def test_against_the_reference(name):
 
 
 @needs_gpu
-def test_gradients_against_the_reference():
+def test_cuda_has_the_gradients_of_the_reference():
     splats, values = cloud(60, 2)
     result = []
     for backend, move in (("reference", torch.clone), ("cuda", torch.Tensor.cuda)):

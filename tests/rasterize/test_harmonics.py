@@ -1,5 +1,7 @@
 """Spherical harmonics against SciPy's, which share neither code nor form with ours."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.harmonics import BANDS, colors, evaluate_sh, rotation_matrix
 from slgaussian.scene import Camera
 from tests.rasterize.hard_cases import camera as pinhole
+from tests.rasterize.hard_cases import splats
 
 
 def camera(center=(0.0, 0.0, 0.0)) -> Camera:
@@ -19,19 +22,15 @@ def camera(center=(0.0, 0.0, 0.0)) -> Camera:
     )
 
 
-def some(n=40, count=16, dtype=torch.float32, size=0.3) -> Gaussians:
+def draw_gaussians(n=40, count=16, dtype=torch.float32, size=0.3) -> Gaussians:
     g = torch.Generator().manual_seed(count)
     means = torch.randn(n, 3, generator=g, dtype=torch.float64)
     sh = size * torch.randn(n, count, 3, generator=g, dtype=torch.float64)
-    return with_sh(means.to(dtype), sh.to(dtype))
+    return make_gaussians(means.to(dtype), sh.to(dtype))
 
 
-def with_sh(means: torch.Tensor, sh: torch.Tensor) -> Gaussians:
-    n = len(means)
-    first = torch.ones(n, 4, dtype=means.dtype)
-    return Gaussians(
-        means, first[:, :3], first / 2, first[:, 0], sh, torch.arange(n, dtype=torch.int32)
-    )
+def make_gaussians(means: torch.Tensor, sh: torch.Tensor) -> Gaussians:
+    return replace(splats(means), sh=sh)
 
 
 def directions(n=200) -> np.ndarray:
@@ -51,7 +50,7 @@ def scipy_basis(d: np.ndarray, degree: int) -> np.ndarray:
     return np.stack(columns, -1)
 
 
-def test_the_basis_is_that_of_scipy_with_the_condon_shortley_phase():
+def test_evaluate_sh_equals_scipy_with_condon_shortley_phase():
     d = directions()
     # Measured 8e-16, most of it from arccos and arctan2.
     harmonics = evaluate_sh(torch.from_numpy(d.T), 3).T
@@ -59,8 +58,8 @@ def test_the_basis_is_that_of_scipy_with_the_condon_shortley_phase():
 
 
 @pytest.mark.parametrize("count", [1, 4, 9, 16])
-def test_colours_are_half_plus_the_harmonics_of_the_way_from_the_camera(count):
-    splats, eye = some(count=count, size=1), np.array([0.3, -0.2, 0.5])
+def test_colors_are_half_plus_the_harmonics_of_the_direction(count):
+    splats, eye = draw_gaussians(count=count, size=1), np.array([0.3, -0.2, 0.5])
     d = splats.means.double().numpy() - eye
     Y = scipy_basis(d / np.linalg.norm(d, axis=1, keepdims=True), round(count**0.5) - 1)
     expected = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, splats.sh.double().numpy()))
@@ -69,7 +68,7 @@ def test_colours_are_half_plus_the_harmonics_of_the_way_from_the_camera(count):
     np.testing.assert_allclose(colors(splats, camera(eye)), expected, atol=2e-6)
 
 
-def test_turned_harmonics_are_those_of_turned_directions():
+def test_rotation_matrix_equals_harmonics_of_rotated_directions():
     d = torch.from_numpy(directions().T.copy())
     for R in Rotation.random(5, random_state=0).as_matrix():
         D = rotation_matrix(R)
@@ -84,19 +83,21 @@ def test_turned_harmonics_are_those_of_turned_directions():
 
 
 @pytest.mark.parametrize("count", [4, 16])
-def test_gradients_are_those_of_finite_differences(count):
-    splats = some(6, count, torch.float64, size=0.05)  # small, so that no colour is at the clamp
+def test_colors_gradients_equal_finite_differences(count):
+    splats = draw_gaussians(
+        6, count, torch.float64, size=0.05
+    )  # small, so that no colour is at the clamp
 
     def run(means, sh):
-        return colors(with_sh(means, sh), camera((0.1, 0.2, 0.3)))
+        return colors(make_gaussians(means, sh), camera((0.1, 0.2, 0.3)))
 
     assert (run(splats.means, splats.sh) > 0).all()
     inputs = (splats.means.requires_grad_(), splats.sh.requires_grad_())
     assert torch.autograd.gradcheck(run, inputs)
 
 
-def test_a_mean_at_the_camera_has_its_plain_colour_and_finite_gradients():
-    splats = some(3)
+def test_colors_of_a_mean_at_the_camera_are_plain_with_finite_gradients():
+    splats = draw_gaussians(3)
     splats.sh.abs_()
     splats.means[1] = torch.tensor([0.5, 0.25, 2.0])
     splats.means.requires_grad_()
@@ -111,11 +112,11 @@ def test_a_mean_at_the_camera_has_its_plain_colour_and_finite_gradients():
     assert (splats.means.grad[0] != 0).any()
 
 
-def test_a_scene_a_million_units_away_keeps_its_directions():
-    splats = some()
+def test_colors_keep_directions_a_million_units_away():
+    splats = draw_gaussians()
     # Eighths are exact at a million in float32; the camera's thousandths are not.
     splats.means[:] = (splats.means * 8).round() / 8
-    far = with_sh(splats.means + 1e6, splats.sh)
+    far = make_gaussians(splats.means + 1e6, splats.sh)
     eye = np.array([0.321, 0.123, 0.777])
     near_seen, far_seen = colors(splats, camera(eye)), colors(far, camera(eye + 1e6))
     # float64 keeps 1e-10 of a unit at a million; to lose the thousandths would change 0.1.
@@ -123,7 +124,7 @@ def test_a_scene_a_million_units_away_keeps_its_directions():
 
 
 @pytest.mark.parametrize("count", [5, 25])
-def test_other_numbers_of_coefficients_are_refused(count):
+def test_colors_refuse_other_numbers_of_coefficients(count):
     sentence = f"found {count} coefficients a colour, expected one of 1, 4, 9, 16"
     with pytest.raises(InputError, match=sentence):
-        colors(some(count=count), camera())
+        colors(draw_gaussians(count=count), camera())

@@ -19,13 +19,13 @@ H, W = 42, 54
 GREY = 1 / 255
 
 
-def moved(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+def translate(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
     c2w = np.eye(4)
     c2w[:3, 3] = x, y, z
     return c2w
 
 
-CAMERAS = [camera(W, H, 60), camera(W, H, 60, c2w=moved(0.2))]
+CAMERAS = [camera(W, H, 60), camera(W, H, 60, c2w=translate(0.2))]
 
 
 def wall(colour=None, depth=None, labels=None, opacity=0.9) -> Gaussians:
@@ -44,37 +44,38 @@ def noise(levels: float) -> np.ndarray:
     return 0.5 + np.random.default_rng(0).uniform(-levels, levels, (H, W, 3)) * GREY
 
 
-def colors_of(gaussians: Gaussians, view: Camera) -> np.ndarray:
+def render_colors(gaussians: Gaussians, view: Camera) -> np.ndarray:
     drawn = rasterize(gaussians, None, view)
     return (drawn.values / drawn.alpha.clamp_min(0.5)[..., None]).clamp(0, 1).numpy()
 
 
-def test_a_plain_wall_needs_few_and_looks_the_same():
+def test_merge_reduces_a_plain_wall_without_visible_change():
     plain = wall()
     merged = merge(plain, CAMERAS)
     assert len(merged.gaussians) < 0.3 * len(plain)
-    for view in (*CAMERAS, *(camera(W, H, 60, c2w=moved(x)) for x in (0.1, 0.4))):
+    for view in (*CAMERAS, *(camera(W, H, 60, c2w=translate(x)) for x in (0.1, 0.4))):
         inner = slice(4, -4), slice(4, -10)  # beyond the border of both there is nothing
         assert (
-            np.abs(colors_of(merged.gaussians, view) - colors_of(plain, view))[inner].max()
+            np.abs(render_colors(merged.gaussians, view) - render_colors(plain, view))[inner].max()
             < 2 * GREY
         )
         alpha = rasterize(merged.gaussians, None, view).alpha.numpy()[inner]
         assert alpha.min() > 0.97
 
 
-def test_what_is_uneven_stays_where_no_given_view_sees_it():
+def test_merge_keeps_uneven_gaussians_that_no_view_sees():
     rough, screen = wall(noise(20)), wall(depth=np.full((H, W), 1.0), opacity=1.0)
     merged = merge(Gaussians.concatenated([rough, screen]), CAMERAS)
     assert len(merged.gaussians) == len(rough) + len(screen)
 
 
 @pytest.mark.parametrize("levels", [2, 6, 10])
-def test_the_change_is_measured_and_bounded(levels):
+def test_merge_measures_and_bounds_the_change(levels):
     speckled = wall(noise(levels))
     merged = merge(speckled, CAMERAS)
     changes = [
-        np.abs(colors_of(merged.gaussians, c) - colors_of(speckled, c)) / GREY for c in CAMERAS
+        np.abs(render_colors(merged.gaussians, c) - render_colors(speckled, c)) / GREY
+        for c in CAMERAS
     ]
     rms = max(np.sqrt((c.astype(np.float64) ** 2).mean()) for c in changes)
     measured = merged.change.mean, merged.change.rms, merged.change.greatest
@@ -82,7 +83,7 @@ def test_the_change_is_measured_and_bounded(levels):
     assert merged.change.rms <= MAX_VIEW_CHANGE / GREY
 
 
-def test_what_shows_is_taken_back():
+def test_merge_is_undone_beside_dark_lines():
     # Dark lines two pixels wide on a wall: what is merged beside them must not blur them.
     colour = np.full((H, W, 3), 0.6)
     colour[:, 20:22] = 0.1
@@ -95,9 +96,9 @@ def test_what_shows_is_taken_back():
         assert len(np.unique(local)) == len(local)
 
 
-def of_three_views(z: float, colour, depth: float, light: float, others=None):
+def unproject_three_views(z: float, colour, depth: float, light: float, others=None):
     """Gaussians of the two views of the wall and of a third, at ``z`` on the way to it."""
-    cameras = [*CAMERAS, camera(W, H, 60, c2w=moved(0.1, 0, z))]
+    cameras = [*CAMERAS, camera(W, H, 60, c2w=translate(0.1, 0, z))]
     others = noise(6) if others is None else others
     colours = [image.astype(np.float32) for image in (others, others, colour)]
     depths = [np.full((H, W), d, np.float32) for d in (3, 3, depth)]
@@ -115,21 +116,21 @@ def of_three_views(z: float, colour, depth: float, light: float, others=None):
         (2.95, np.full((H, W, 3), 0.5), 5, 0.02),
     ],
 )
-def test_what_one_view_shows_too_much_of_is_taken_back_and_no_more(z, colour, depth, light):
-    merged = merge(*of_three_views(z, colour, depth, light))
+def test_merge_is_undone_only_where_one_view_changes_too_much(z, colour, depth, light):
+    merged = merge(*unproject_three_views(z, colour, depth, light))
     assert len(merged.gaussians) < 0.9 * 3 * H * W
     assert 0.5 < merged.change.rms <= MAX_VIEW_CHANGE / GREY
 
 
-def test_what_is_behind_something_does_not_show():
+def test_merge_ignores_changes_behind_a_surface():
     """A view from behind has an uneven screen before it, and all that others see is hidden."""
     plain = np.full((H, W, 3), 0.6)
-    merged = merge(*of_three_views(-5, noise(7), 1, 1.0, plain))
+    merged = merge(*unproject_three_views(-5, noise(7), 1, 1.0, plain))
     local = merged.gaussians.source.numpy() < 2 * H * W
     assert local.sum() < 0.3 * 2 * H * W and (~local).sum() > 0.8 * H * W
 
 
-def test_objects_do_not_merge():
+def test_merge_keeps_objects_apart():
     labels = np.ones((H, W))
     labels[11:31, 13:37] = 2
     labels[0:8] = 0
@@ -139,7 +140,7 @@ def test_objects_do_not_merge():
     assert torch.equal(merged.gaussians.features[merged.into], both.features)
 
 
-def test_surfaces_at_other_depths_do_not_merge():
+def test_merge_keeps_surfaces_at_other_depths_apart():
     depth = np.full((H, W), 3.0)
     depth[:, 25:] = 2.0
     step = wall(depth=depth)
@@ -150,7 +151,7 @@ def test_surfaces_at_other_depths_do_not_merge():
     assert len(merged.gaussians) < 0.6 * len(step)
 
 
-def test_a_slanted_surface_merges_along_itself():
+def test_merge_keeps_a_slanted_surface_flat():
     x = np.arange(W) + 0.5
     depth = np.tile(1 / (0.5 - 0.004 * x), (H, 1))
     slanted = wall(depth=depth)
@@ -163,7 +164,7 @@ def test_a_slanted_surface_merges_along_itself():
     assert float(merged.gaussians.scales.min(1).values.max()) < 0.25 * z.max() / 60
 
 
-def test_pixels_are_told_and_each_stands_for_its_own():
+def test_merge_assigns_each_pixel_to_its_cell():
     merged = merge(wall(), CAMERAS)
     source, into = merged.gaussians.source.numpy(), merged.into
     assert sorted(set(into)) == list(range(len(source)))
@@ -174,7 +175,7 @@ def test_pixels_are_told_and_each_stands_for_its_own():
     assert (source == first).all()  # a Gaussian a pixel here: the number is the pixel
 
 
-def test_holes_and_further_gaussians_stay():
+def test_merge_keeps_holes_and_further_gaussians():
     plain = wall()
     holes = (torch.arange(2 * H * W) % 7 != 3) | (torch.arange(2 * H * W) % W > 30)
     further = replace(plain[torch.arange(40)], means=plain.means[:40] + torch.tensor([0, 0, 1.5]))
@@ -189,7 +190,7 @@ def test_holes_and_further_gaussians_stay():
     assert len(np.unique(beside)) == len(beside)
 
 
-def test_same_bytes_with_any_number_of_threads():
+def test_merge_is_equal_for_any_number_of_threads():
     result = []
     for threads in (1, 2):
         with kernels_on(threads):
@@ -199,7 +200,7 @@ def test_same_bytes_with_any_number_of_threads():
     assert result[0] == result[1]
 
 
-def test_nothing_and_what_cannot_be_placed():
+def test_merge_accepts_no_gaussians_and_refuses_wrong_cameras():
     nothing = wall()[:0]
     assert len(merge(nothing, CAMERAS).gaussians) == 0
     for cameras, sentence in (
@@ -211,7 +212,7 @@ def test_nothing_and_what_cannot_be_placed():
             merge(wall(), cameras)
 
 
-def test_what_mostly_was_a_guess_is_one():
+def test_merge_decides_guessed_by_majority():
     guesses = torch.zeros(2, H, W, dtype=torch.bool)
     guesses[:, :, 18:] = True  # three quarters of a cell of eight, half of one of four
     merged = merge(replace(wall(), guessed=guesses.ravel()), CAMERAS)

@@ -23,7 +23,7 @@ from tests.rasterize.hard_cases import (
     case,
     cloud,
     measure,
-    rotated,
+    rotate_randomly,
     splats,
 )
 
@@ -36,13 +36,13 @@ EXACT = PRESETS["exact"]
 
 @pytest.mark.parametrize("preset", ["exact", "fast"])
 @pytest.mark.parametrize("name", CASES)
-def test_the_cpu_backend_is_the_reference(name, preset):
+def test_cpu_equals_the_reference_on_hard_cases(name, preset):
     """Equal up to rounding without cut-offs, and up to the preset's cut-offs with them."""
     if (name, preset) != (ALL_CUT, "fast"):
         assert np.all(np.array(measure(name, preset)) < bounds(name, preset))
 
 
-def test_fast_leaves_out_thousands_that_are_each_under_the_cut():
+def test_fast_drops_thousands_of_gaussians_below_the_cut():
     """The price of any cut-off, and the one case where it is not small; see ``exact``.
 
     Where their alphas are above it, long sums hold: measured 1e-4, from the early stop.
@@ -55,7 +55,7 @@ def test_fast_leaves_out_thousands_that_are_each_under_the_cut():
 # The reference, and the cut-offs, against the formulas spelt out one number at a time.
 
 
-def plain(output: Gaussians, values: torch.Tensor, view: Camera, chosen: Settings):
+def render_plainly(output: Gaussians, values: torch.Tensor, view: Camera, chosen: Settings):
     """Image [H, W, C], alpha [H, W] and mean depth [H, W] in plain float64 loops, with cut-offs."""
     world_to_camera, (fx, skew, cx), (_, fy, cy) = view.w2c, *view.K[:2]
 
@@ -107,9 +107,9 @@ def plain(output: Gaussians, values: torch.Tensor, view: Camera, chosen: Setting
     return image, alpha, depth / np.maximum(alpha, 1e-300)
 
 
-def plain_scene() -> tuple[Gaussians, torch.Tensor, Camera]:
+def make_plain_scene() -> tuple[Gaussians, torch.Tensor, Camera]:
     """Return a camera with all parameters, and splats of every kind."""
-    view = camera(14, 10, 12, cx=4, cy=7, skew=1.5, c2w=rotated(3, (1, 2, 3)), aspect=1.3)
+    view = camera(14, 10, 12, cx=4, cy=7, skew=1.5, c2w=rotate_randomly(3, (1, 2, 3)), aspect=1.3)
     output, values = cloud(40, 3, 0.6, view, 3)
     output.opacities[:20] = 0.3 + 0.7 * output.opacities[:20]
     output.means[5] = torch.from_numpy(view.center + view.c2w[:3, :3] @ [3, 2, 0.5])  # off-axis
@@ -131,9 +131,9 @@ def plain_scene() -> tuple[Gaussians, torch.Tensor, Camera]:
     ],
     ids=["exact", "clamped", "3dgs", "fast", "coarse"],
 )
-def test_each_backend_is_the_formula_with_its_cut_offs(backend, chosen, tolerance):
-    output, values, view = plain_scene()
-    image, alpha, depth = plain(output, values, view, chosen)
+def test_backends_equal_the_formula_with_cut_offs(backend, chosen, tolerance):
+    output, values, view = make_plain_scene()
+    image, alpha, depth = render_plainly(output, values, view, chosen)
     drawn = rasterize(output, values, view, backend=backend, settings=chosen)
     np.testing.assert_allclose(drawn.values, image, atol=tolerance)
     np.testing.assert_allclose(drawn.alpha, alpha, atol=tolerance)
@@ -151,7 +151,7 @@ def test_each_backend_is_the_formula_with_its_cut_offs(backend, chosen, toleranc
     ["ordinary_cloud", "dense_overlap", "opacity_1", "a_gaussian_per_pixel", "scales_of_zero",
      "image_of_17x33", "astronomical_and_microscopic", "no_channel", "nothing"],
 )  # fmt: skip
-def test_median_depth(name):
+def test_cpu_median_depth_equals_the_reference(name):
     fast, true = (
         rasterize(*case(name), backend=backend, settings="exact", median=True).median
         for backend in BACKENDS
@@ -161,7 +161,7 @@ def test_median_depth(name):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_median_depth_is_where_half_the_light_is_gone(backend):
+def test_median_depth_is_where_alpha_reaches_one_half(backend):
     output = splats([[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0]], 100.0, [0.3, 0.4, 0.5])
     drawn = rasterize(output, torch.ones(3, 1), camera(), backend=backend, median=True)
     assert drawn.median[12, 16] == 3  # 0.3, then 0.58
@@ -171,7 +171,7 @@ def test_median_depth_is_where_half_the_light_is_gone(backend):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_no_values_means_the_colour_from_here(backend):
+def test_rasterize_without_values_renders_harmonics(backend):
     output, _ = cloud(40)
     sh = torch.randn(40, 16, 3, generator=torch.Generator().manual_seed(0))
     output = replace(output, sh=sh)
@@ -188,7 +188,7 @@ seeds = st.integers(0, 10_000)
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(2, 60), seeds)
-def test_the_order_of_the_input_changes_no_byte(n, seed):
+def test_rasterize_is_equal_for_any_input_order(n, seed):
     """No two depths here are equal."""
     output, values = cloud(n, seed)
     order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
@@ -200,7 +200,7 @@ def test_the_order_of_the_input_changes_no_byte(n, seed):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 60), seeds)
-def test_one_channel_does_not_depend_on_its_neighbours(n, seed):
+def test_rasterize_channels_are_independent(n, seed):
     output, values = cloud(n, seed, channels=11)
     together = rasterize(output, values, camera()).values
     for c in range(11):
@@ -210,7 +210,7 @@ def test_one_channel_does_not_depend_on_its_neighbours(n, seed):
 
 @settings(max_examples=60, deadline=None)
 @given(seeds, st.sampled_from(["fast", "exact"]))
-def test_no_finite_input_gives_nan(seed, preset):
+def test_rasterize_of_finite_input_is_finite(seed, preset):
     """Places to 1e15, scales to 1e12, quaternions to 1e30, and zeros among all of them."""
     rng = np.random.default_rng(seed)
 
@@ -225,7 +225,7 @@ def test_no_finite_input_gives_nan(seed, preset):
         quats=sizes(-30, 30, 30, 4),
     )
     output.quats[(output.quats == 0).all(1)] = 1
-    view = camera(24, 17, 10 ** rng.uniform(0, 5), c2w=rotated(seed))
+    view = camera(24, 17, 10 ** rng.uniform(0, 5), c2w=rotate_randomly(seed))
     image = rasterize(output, torch.ones(30, 2), view, settings=preset, median=True)
     for name, drawn in vars(image).items():
         assert torch.isfinite(drawn).all(), name
@@ -237,7 +237,7 @@ def test_no_finite_input_gives_nan(seed, preset):
 
 
 @pytest.mark.parametrize("preset", ["fast", "exact"])
-def test_bytes_do_not_depend_on_the_threads(preset):
+def test_rasterize_is_equal_for_any_number_of_threads(preset):
     output, values = cloud(300, view=camera(100, 80, 90))
 
     def draw(threads):
@@ -250,7 +250,7 @@ def test_bytes_do_not_depend_on_the_threads(preset):
             assert torch.equal(drawn, getattr(first, name)), (name, threads)
 
 
-def test_inputs_of_other_dtypes_and_strides_are_taken():
+def test_rasterize_accepts_other_dtypes_and_strides():
     output, values = cloud(40)
     values = values.half()
     drawn = rasterize(output, values.float(), camera())
@@ -281,7 +281,7 @@ def test_inputs_of_other_dtypes_and_strides_are_taken():
         ("quats", 0.0, "found .*length zero is no rotation"),
     ],
 )
-def test_bad_gaussians_are_refused_with_field_and_index(field, bad, expected, backend):
+def test_rasterize_names_field_and_index_of_bad_gaussians(field, bad, expected, backend):
     output, values = cloud(5)
     getattr(output, field)[4] = bad
     with pytest.raises(InputError, match=rf"gaussians {field}\[4\]: {expected}"):
@@ -300,7 +300,7 @@ def test_bad_gaussians_are_refused_with_field_and_index(field, bad, expected, ba
     ],
 )
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_bad_arguments_are_refused(changed, sentence, backend):
+def test_rasterize_refuses_bad_arguments(changed, sentence, backend):
     output, values = cloud(5)
     arguments = {"values": values, "camera": camera(), "backend": backend} | changed
     with pytest.raises(InputError, match=f"rasterize.* {sentence}"):
@@ -313,6 +313,6 @@ def test_bad_arguments_are_refused(changed, sentence, backend):
      {"alpha_max": 0.0}, {"alpha_min": 1.0}, {"alpha_min": -0.1}, {"sigmas": 0.0},
      {"pass_min": 1.0}, {"pass_min": math.nan}],
 )  # fmt: skip
-def test_settings_out_of_range_are_refused(bad):
+def test_settings_refuse_numbers_out_of_range(bad):
     with pytest.raises(InputError, match=f"rasterize settings {next(iter(bad))}: found"):
         Settings(**bad)
