@@ -36,6 +36,7 @@ from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from slgaussian.storage.specs import load_spec
+from tests import pinhole
 from tests.damaged_bytes import damage
 
 W, H = 48, 32
@@ -198,9 +199,7 @@ def make_sparse_binary(folder: Path) -> None:
 
 
 def camera(x: float) -> Camera:
-    c2w = np.eye(4)
-    c2w[0, 3] = x
-    return Camera(np.array([[20.0, 0, 12], [0, 20, 8], [0, 0, 1]]), c2w, W, H)
+    return pinhole.camera(W, H, 20.0, 12, 8, place=(x, 0, 0))
 
 
 def make_clip(key: str) -> re10k.Clip:

@@ -11,6 +11,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Sample, View
+from tests import pinhole
 from tests.known import known_field
 
 H, W, FOCAL, WALL, NEAR = 60, 80, 70.0, 3.0, 2.0
@@ -21,10 +22,7 @@ HALF = 0.25
 
 
 def camera(x: float) -> Camera:
-    K = np.array([[FOCAL, 0, W / 2], [0, FOCAL, H / 2], [0, 0, 1]])
-    c2w = np.eye(4)
-    c2w[0, 3] = x
-    return Camera(K, c2w, W, H)
+    return pinhole.camera(W, H, FOCAL, place=(x, 0, 0))
 
 
 def looked(cam: Camera, square: bool = True) -> tuple[np.ndarray, np.ndarray]:

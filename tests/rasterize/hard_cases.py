@@ -14,6 +14,7 @@ import torch
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Render, Settings, rasterize
 from slgaussian.scene import Camera
+from tests.pinhole import camera
 
 
 class Case(NamedTuple):
@@ -94,15 +95,6 @@ def _worst(difference: torch.Tensor) -> float:
 
 
 # What the cases are made of.
-
-
-def camera(
-    width=32, height=24, focal=30.0, cx=None, cy=None, skew=0.0, c2w=None, aspect=1.0
-) -> Camera:
-    """A small camera in the origin that looks along z; ``aspect`` is the height of a pixel."""
-    cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
-    K = np.array([[focal, skew, cx], [0, focal * aspect, cy], [0, 0, 1]])
-    return Camera(K, np.eye(4) if c2w is None else c2w, width, height)
 
 
 def rotate_randomly(seed: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:

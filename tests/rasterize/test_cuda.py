@@ -10,7 +10,8 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import Settings, rasterize
 from slgaussian.rasterize.cuda import load_gsplat
-from tests.rasterize.hard_cases import camera, case, cloud
+from tests.pinhole import camera
+from tests.rasterize.hard_cases import case, cloud
 
 needs_gpu = pytest.mark.skipif(
     not torch.cuda.is_available() or find_spec("gsplat") is None,

@@ -8,7 +8,8 @@ import torch
 
 from slgaussian.rasterize import PRESETS, Render, Settings, rasterize
 from tests.kernel_threads import kernels_on
-from tests.rasterize.hard_cases import camera, case, cloud, rotate_randomly, splats
+from tests.pinhole import camera
+from tests.rasterize.hard_cases import case, cloud, rotate_randomly, splats
 
 EXACT = PRESETS["exact"]
 GEOMETRY = ("means", "scales", "quats", "opacities")

@@ -12,14 +12,12 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.harmonics import BANDS, colors, evaluate_sh, rotation_matrix
 from slgaussian.scene import Camera
-from tests.rasterize.hard_cases import camera as pinhole
+from tests import pinhole
 from tests.rasterize.hard_cases import splats
 
 
 def camera(center=(0.0, 0.0, 0.0)) -> Camera:
-    return pinhole(
-        48, 32, 40, c2w=np.block([[np.eye(3), np.reshape(center, (3, 1))], [0, 0, 0, 1]])
-    )
+    return pinhole.camera(48, 32, 40, place=center)
 
 
 def draw_gaussians(n=40, count=16, dtype=torch.float32, size=0.3) -> Gaussians:

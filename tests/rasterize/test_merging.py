@@ -13,19 +13,13 @@ from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import MAX_VIEW_CHANGE, merge
 from slgaussian.scene import Camera
 from tests.kernel_threads import kernels_on
-from tests.rasterize.hard_cases import camera
+from tests.pinhole import camera
 
 H, W = 42, 54
 GREY = 1 / 255
 
 
-def translate(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    c2w = np.eye(4)
-    c2w[:3, 3] = x, y, z
-    return c2w
-
-
-CAMERAS = [camera(W, H, 60), camera(W, H, 60, c2w=translate(0.2))]
+CAMERAS = [camera(W, H, 60), camera(W, H, 60, place=(0.2, 0, 0))]
 
 
 def wall(colour=None, depth=None, labels=None, opacity=0.9) -> Gaussians:
@@ -53,7 +47,7 @@ def test_merge_reduces_a_plain_wall_without_visible_change():
     plain = wall()
     merged = merge(plain, CAMERAS)
     assert len(merged.gaussians) < 0.3 * len(plain)
-    for view in (*CAMERAS, *(camera(W, H, 60, c2w=translate(x)) for x in (0.1, 0.4))):
+    for view in (*CAMERAS, *(camera(W, H, 60, place=(x, 0, 0)) for x in (0.1, 0.4))):
         inner = slice(4, -4), slice(4, -10)  # beyond the border of both there is nothing
         assert (
             np.abs(render_colors(merged.gaussians, view) - render_colors(plain, view))[inner].max()
@@ -98,7 +92,7 @@ def test_merge_is_undone_beside_dark_lines():
 
 def unproject_three_views(z: float, colour, depth: float, light: float, others=None):
     """Gaussians of the two views of the wall and of a third, at ``z`` on the way to it."""
-    cameras = [*CAMERAS, camera(W, H, 60, c2w=translate(0.1, 0, z))]
+    cameras = [*CAMERAS, camera(W, H, 60, place=(0.1, 0, z))]
     others = noise(6) if others is None else others
     colours = [image.astype(np.float32) for image in (others, others, colour)]
     depths = [np.full((H, W), d, np.float32) for d in (3, 3, depth)]

@@ -15,11 +15,11 @@ from slgaussian.rasterize import PRESETS, Settings, rasterize
 from slgaussian.rasterize.harmonics import colors
 from slgaussian.scene import Camera
 from tests.kernel_threads import kernels_on
+from tests.pinhole import camera
 from tests.rasterize.hard_cases import (
     ALL_CUT,
     CASES,
     bounds,
-    camera,
     case,
     cloud,
     measure,
