@@ -31,25 +31,14 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE = 60.0
 """Seconds that a condition is waited for; a busy machine of two cores draws slowly."""
 
+# Tests may run as root, which Chromium's sandbox refuses.
 OPTIONS = (
-    "--headless=new",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--no-sandbox",  # tests may run as root
-    "--disable-dev-shm-usage",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-quic",
-    "--disable-extensions",
-    "--disable-default-apps",
-    "--no-first-run",
-    "--no-default-browser-check",
-    "--no-proxy-server",
-    "--mute-audio",
-    "--hide-scrollbars",
-    "--remote-debugging-port=0",
-)
+    "--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
+    "--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--disable-quic", "--disable-extensions", "--disable-default-apps",
+    "--no-first-run", "--no-default-browser-check", "--no-proxy-server", "--mute-audio",
+    "--hide-scrollbars", "--remote-debugging-port=0",
+)  # fmt: skip
 
 
 def executable() -> str | None:

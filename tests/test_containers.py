@@ -31,7 +31,7 @@ def list_copied_paths() -> set[str]:
     }
 
 
-def test_copied_files_exist_and_are_not_ignored():
+def test_image_copies_existing_files():
     ignored = (DOCKER / "Dockerfile.dockerignore").read_text().splitlines()
     assert {line[1:] for line in ignored if line.startswith("!")} == list_copied_paths()
     assert all((ROOT / path).exists() for path in list_copied_paths())

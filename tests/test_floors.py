@@ -33,7 +33,7 @@ def measure(name: str, *data: Path) -> dict[str, float]:
 
 
 @pytest.mark.parametrize(("name", "score", "bound", "sign"), SCORES)
-def test_score_of_a_set_is_on_the_good_side_of_its_bound(name, score, bound, sign, request):
+def test_quality_of_a_set_keeps_its_floor(name, score, bound, sign, request):
     data = []
     if name in ("office", "places"):
         data = [request.getfixturevalue("real_data")]

@@ -163,7 +163,7 @@ def prefetch(typing, array, index):
     """Prefetch the cache line of element ``index`` of a contiguous ``array``."""
 
     def lower(context, builder, signature, args):
-        place = _address(context, builder, array, *args, ir.IntType(8))
+        place = _address(context, builder, array, args[0], args[1], ir.IntType(8))
         kind = ir.FunctionType(ir.VoidType(), [place.type, _INT32, _INT32, _INT32])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
         builder.call(function, [place, _INT32(0), _INT32(3), _INT32(1)])

@@ -133,6 +133,8 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
         tolerance: Largest residual of a pixel on the plane.
     """
     fewest = max(50, int(MIN_SUPPORT * keep.sum()))
+    # One plane at a time, the largest first: what it explains does not vote for the next one, so
+    # that a second plane is not the first one again, tilted by noise.
     left = keep.copy()
     planes: list[np.ndarray] = []
     while len(planes) < MAX_PLANES:
@@ -182,6 +184,8 @@ def _square_planes(
 def _refit(planes: np.ndarray, points: np.ndarray, w: np.ndarray, tolerance: float) -> np.ndarray:
     """Refit planes [P, 3] to their inliers among the points [M, 3]; without BLAS, whose last digit
     depends on threads."""
+    # Inliers of the last fit decide the next one; a
+    # plane whose inliers are collinear keeps its last fit.
     x, y, _ = points.T
     middle_x, middle_y = x.mean(), y.mean()
     terms = np.stack(_moments(x - middle_x, y - middle_y, w))

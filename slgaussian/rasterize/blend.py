@@ -177,14 +177,14 @@ def blend_weights(block, work, alpha_max, pass_min):
     Returns the number of processed splats, the remaining transmittance, and the sum of the weights,
     which is alpha with full precision for small values.
     """
-    # A lane holds one pixel. Front to back (paper, eq. 2): weight = alpha T, and T falls by it,
-    # since T (1 - alpha) = T - T alpha; T is a difference then, exact to its own rounding. The sum
-    # of the weights is kept on its own, because 1 - T has no digits left where alpha is small.
+    # A lane holds one pixel. Front to back (paper, eq. 2; Kerbl et al. 2023, eq. 3): the weight is
+    # alpha T, and T (1 - alpha) is T less that weight, so that weights and what is let through sum
+    # to one. The sum of the weights is kept as well: 1 - T has no digits left where alpha is small.
     first = block * len(work.keys)
     left, top = _corner(block)
     zero = vzero()
     accumulated, transmittance = zero, zero + np.float32(1)
-    # A transmittance of 0 would let an opaque pixel go on to its end, even with pass_min 0.
+    # With pass_min 0, too, a pixel is finished once nothing at all is let through.
     finished = max(pass_min, np.float32(1e-30))
     j, count = 0, work.counts[block]
     while j < count and vany(transmittance >= finished):

@@ -29,9 +29,6 @@ MIN_ALPHA_MAX = 0.99
 """Smallest accepted ``alpha_max``, the constant of Kerbl et al. 2023, within 0.01 of gsplat's own
 0.999. A stronger clamp would be visible and is refused."""
 
-FAR_PLANE = torch.finfo(torch.float32).max
-"""gsplat's far plane, at infinity: a camera's ``far`` is not used."""
-
 
 def render(
     gaussians: Gaussians, values: torch.Tensor, camera: Camera, settings: Settings, median: bool
@@ -75,7 +72,7 @@ def render(
         width=camera.width,
         height=camera.height,
         near_plane=settings.near,
-        far_plane=FAR_PLANE,
+        far_plane=torch.finfo(torch.float32).max,  # at infinity: a camera's ``far`` is not used
         eps2d=settings.low_pass,
         packed=False,
     )

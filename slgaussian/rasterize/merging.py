@@ -26,7 +26,6 @@ from slgaussian.rasterize.render_settings import PRESETS
 from slgaussian.scene import Camera
 
 GREY_LEVEL = 1 / 255
-"""A grey level."""
 
 MAX_COLOUR_RANGE, MAX_OPACITY_RANGE, MAX_FEATURE_RANGE = 16 * GREY_LEVEL, 0.1, 1 / 64
 """Largest range within a merged cell and its neighbours: of a colour, of opacity and of a semantic

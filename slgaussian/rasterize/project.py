@@ -6,7 +6,7 @@ whose centre moves linearly from row to row and whose variance is constant. So
 ``e = x - u - slope dy``, ``slope = xy / yy`` and ``var = xx - xy^2 / yy``. This form has no
 cancellation for long and thin splats, unlike ``a dx^2 + 2 b dx dy + c dy^2``.
 
-The covariance is that of EWA splatting (Zwicker et al. 2001, eq. 24; Kerbl et al. 2023, eq. 5 and
+The covariance is that of EWA splatting (Zwicker et al. 2001; Kerbl et al. 2023, eq. 5 and
 6): ``Sigma' = J W R S S^T R^T W^T J^T + low_pass I``, with S the scales, R the rotation of the
 Gaussian, W that of world to camera, and J the Jacobian of perspective at the centre. It is computed
 from the three columns of ``P = J W R S``, the axes of the Gaussian on the image.

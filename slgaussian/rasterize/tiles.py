@@ -154,7 +154,7 @@ def tile_range(box):
     """Return the half-open ranges of tiles, across and down, that a pixel box touches."""
     if box[1] <= box[0] or box[3] <= box[2]:
         return 0, 0, 0, 0
-    # Unsigned, so that the divisions are shifts.
+    # Unsigned, so that the divisions are shifts; boxes are within the image, so never negative.
     wide, tall = np.uint32(TILE_WIDTH), np.uint32(TILE_HEIGHT)
     return (
         np.int64(np.uint32(box[0]) // wide),
@@ -167,6 +167,8 @@ def tile_range(box):
 @kernel
 def count_tiles(boxes):
     """Return the exclusive cumulative number of tiles that splats touch, int64 [N + 1]."""
+    # Gradients of a splat have a row for each of its tiles: the sums give each row its place, and
+    # tiles write theirs without waiting for each other.
     firsts = np.zeros(len(boxes) + 1, np.int64)
     for i in range(len(boxes)):
         left, right, top, bottom = tile_range(boxes[i])
@@ -268,6 +270,8 @@ def _sort_by_depth(n, channels, nearest, farthest, work):
     width = np.uint64(-(-bits // max(passes, 1)))
     mask = (np.uint64(1) << width) - np.uint64(1)
     starts = np.zeros((passes, mask + 1), np.int32)
+    # z in the upper half of a key, and the number of the splat in the lower, so that one move sorts
+    # both.
     for k in range(n):
         key = np.uint64(z[k * (channels + 1) + channels] - limits[0])
         work.keys[k] = key << np.uint64(32) | np.uint64(k)

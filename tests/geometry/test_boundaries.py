@@ -73,7 +73,7 @@ def test_boundary_map_is_the_greatest_sum_of_its_cues():
     lab = lab.astype(np.float32)
     small = lab.reshape(10, 2, 12, 2, 3).mean((1, 3))
     cues = [
-        (tone_codes(small)[..., k], 20, *of) for k, of in enumerate([(3, 0.3), *[(4, 0.45)] * 2])
+        (tone_codes(small)[..., k], 20, *cue) for k, cue in enumerate([(3, 0.3), *[(4, 0.45)] * 2])
     ]
     wide = sum(
         weight * plain_half_disc(codes, bins, radius, True) for codes, bins, radius, weight in cues

@@ -13,7 +13,7 @@ from slgaussian.scene import Sample
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
 
 
-def test_seed_for_is_pinned():
+def test_seed_for_returns_a_pinned_number():
     assert seed_for(0, "room", "codes") == 9262441233058351170
 
 
@@ -58,7 +58,7 @@ def test_held_out_places_of_a_smaller_fraction_stay(clip, item, alternative):
     assert not held_out(clip, 0) and held_out(clip, 1)
 
 
-def test_held_out_share_is_as_asked_and_pinned():
+def test_held_out_share_is_close_and_reproducible():
     """4 standard deviations of 4000 draws are 0.025; the first held-out names are pinned."""
     stored = [held_out(f"clip {k}", 0.2) for k in range(4000)]
     assert abs(sum(stored) / 4000 - 0.2) < 0.025

@@ -42,7 +42,7 @@ def test_cpu_equals_the_reference_on_hard_cases(name, preset):
         assert np.all(np.array(measure(name, preset)) < bounds(name, preset))
 
 
-def test_fast_drops_thousands_of_gaussians_below_the_cut():
+def test_fast_drops_thousands_of_gaussians_below_its_threshold():
     """The price of any cut-off, and the one case where it is not small; see ``exact``.
 
     Where their alphas are above it, long sums hold: measured 1e-4, from the early stop.
