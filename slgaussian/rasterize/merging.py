@@ -170,8 +170,8 @@ def _rows_of_pixels(source: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray
 def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Render colours float32 [H, W, 3] as a field does, and depth float32 [H, W]."""
     drawn = picture(gaussians, seen_colors(gaussians, camera), camera)
-    color = drawn.values / np.maximum(drawn.alpha, np.float32(MIN_OPACITY))[..., None]
-    return color.clip(0, 1), drawn.depth
+    colour = drawn.values / np.maximum(drawn.alpha, np.float32(MIN_OPACITY))[..., None]
+    return colour.clip(0, 1), drawn.depth
 
 
 def _blocks_to_restore(change: np.ndarray) -> np.ndarray:
