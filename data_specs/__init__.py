@@ -1,1 +1,1 @@
-"""What the data look like: one TOML file a spec. :mod:`slgaussian.storage.specs` reads them."""
+"""Layout of every stored array and table: a TOML file each, read as package data."""
