@@ -18,7 +18,8 @@ import pyarrow.parquet as pq
 from slgaussian.benchmark import pictures
 from slgaussian.benchmark.reports.model import count_text
 from slgaussian.datasets.set_versions import Manifest
-from slgaussian.datasets.training_set import INDEX, TrainingSet
+from slgaussian.datasets.shards import INDEX
+from slgaussian.datasets.training_set import TrainingSet
 from slgaussian.io import file_sha256, write_atomic
 from slgaussian.storage.specs import load_spec
 

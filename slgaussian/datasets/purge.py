@@ -24,9 +24,15 @@ import pyarrow.parquet as pq
 from slgaussian.datasets import re10k
 from slgaussian.datasets.data_card import describe_set
 from slgaussian.datasets.set_versions import FOLDER, add_version, read_versions, write_manifest
-from slgaussian.datasets.shard_writing import read_index, retire_shards, write_index, write_shards
-from slgaussian.datasets.shards import key_of
-from slgaussian.datasets.training_set import INDEX, TrainingSet
+from slgaussian.datasets.shards import (
+    INDEX,
+    key_of,
+    read_index,
+    retire_shards,
+    write_index,
+    write_shards,
+)
+from slgaussian.datasets.training_set import TrainingSet
 from slgaussian.errors import InputError
 from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.encoding import decode_npz

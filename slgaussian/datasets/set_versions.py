@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from slgaussian.benchmark.reports.model import count_text
-from slgaussian.datasets.shard_writing import Written
+from slgaussian.datasets.shards import Written
 from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic

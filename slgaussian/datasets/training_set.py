@@ -27,7 +27,7 @@ from torch.utils.data import Dataset
 from torch.utils.data._utils.collate import default_collate_fn_map
 
 from slgaussian.datasets.photographs import rgb
-from slgaussian.datasets.shards import unpack
+from slgaussian.datasets.shards import INDEX, REPAIR, unpack
 from slgaussian.datasets.splits import SPLITS
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
@@ -36,12 +36,9 @@ from slgaussian.storage.encoding import decode_arrays, decode_table
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 from slgaussian.storage.specs import load_spec
 
-INDEX = "index.parquet"
 IMAGE_SUFFIXES = ("jpg", "png")
 SPECS = {"geometry": "example_geometry", "labels": "labels", "bank": "bank"}
 """The spec of each ``.npz`` member of a sample."""
-
-REPAIR = "make the set anew with `slgaussian dataset`"
 
 
 class TrainingSet(Dataset[dict[str, Any]]):
