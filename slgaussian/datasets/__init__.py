@@ -31,8 +31,8 @@ READERS = {
     "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
-"""Reader of each format. Its module may have ``files``, which lists those of a scene that takes long
-to read, and ``scenes``, which lists the scenes of a folder that may have several."""
+"""Reader of each format. Its module may have ``files``, which lists those of a scene that takes
+long to read, and ``scenes``, which lists the scenes of a folder that may have several."""
 
 FROM_FILES = tuple(name for name in READERS if name not in ("procedural", "stereo"))
 """Formats that are read from files; data of the other formats come with the program."""

@@ -192,7 +192,7 @@ def _read_model(folder: Path) -> tuple[dict[int, _Intrinsics], list[tuple[str, _
 
 
 @contextmanager
-def _damage_named(file: Path) -> Iterator[None]:
+def _explain_damage(file: Path) -> Iterator[None]:
     """Raise InputError, which names the file, for errors while it is read and parsed."""
     try:
         yield
@@ -207,7 +207,7 @@ def _damage_named(file: Path) -> Iterator[None]:
 def _read_cameras(file: Path) -> dict[int, _Intrinsics]:
     cameras: dict[int, _Intrinsics] = {}
     counts = dict(CAMERA_MODELS.values())
-    with _damage_named(file):
+    with _explain_damage(file):
         for number, model, width, height, params in _stored_cameras(file):
             if number in cameras:
                 raise ValueError(f"it has two cameras {number}")
@@ -226,7 +226,7 @@ def _read_cameras(file: Path) -> dict[int, _Intrinsics]:
 
 def _read_images(file: Path) -> list[tuple[str, _Pose]]:
     images = []
-    with _damage_named(file):
+    with _explain_damage(file):
         for numbers, camera, name in _stored_images(file):
             if not np.isfinite(numbers).all() or abs(np.linalg.norm(numbers[:4]) - 1) > 0.01:
                 raise ValueError(f"image {name!r}: {numbers} is no unit quaternion and translation")

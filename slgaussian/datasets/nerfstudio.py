@@ -315,7 +315,7 @@ def read(path: str | Path) -> Scene:
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
-    meta = _parsed(file)
+    meta = _parse_file(file)
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     frames: dict[str, Frame] = {}
@@ -411,7 +411,7 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
-    content = _parsed(file)
+    content = _parse_file(file)
     if isinstance(content, dict) and "transform_matrix" in content and "frames" not in content:
         name = str(content.get("file_path") or file.name)
         return {name: Frame.of(file, name, content).camera(None)}
@@ -447,7 +447,7 @@ def _camera_path(file: Path, content: Mapping[str, Any]) -> dict[str, Camera]:
     return cameras
 
 
-def _parsed(file: Path) -> Any:
+def _parse_file(file: Path) -> Any:
     try:
         return strict_json.parse(file.read_bytes())
     except OSError as bad:

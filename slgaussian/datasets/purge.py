@@ -201,8 +201,8 @@ def find_derived_files(store: ArtifactStore, marked: Collection[str]) -> list[st
             if record.file.uri in marked or not digests.isdisjoint(used):
                 gone[record.file.uri] = None
                 digests.add(record.ref.digest)
-    named = {uri for r in records if r.file.uri not in gone for uri in r.named}
-    lost = {uri for r in records if r.file.uri in gone for uri in r.named}
+    named = {uri for r in records if r.file.uri not in gone for uri in r.uris}
+    lost = {uri for r in records if r.file.uri in gone for uri in r.uris}
     direct = {uri for uri in marked if ref_of(uri) or uri.startswith((f"{RECORDS}/", "digests/"))}
     if any(uri.startswith(HISTORY) for uri in marked):
         direct |= {f"{HISTORY}{ending}" for ending in ("", "-wal", "-shm")}

@@ -22,8 +22,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from slgaussian.copies import normalise
 from slgaussian.datasets.near_copies import find_copies, stack_signatures
 from slgaussian.errors import InputError
-from slgaussian.storage.encoding import decode_table
-from slgaussian.storage.specs import load_spec
+from slgaussian.storage.encoding import load_table
 
 RECORDED, NAMED, VIDEO, CLIP = range(4)
 """Sources of the name of a place, in order of priority."""
@@ -128,7 +127,6 @@ def read_views(file: Path) -> Iterator[dict[str, Any]]:
             f"{file}: is missing, so nothing tells which clips show one place; run `slgaussian "
             "supervise` again, which writes it"
         )
-    repair = "run `slgaussian supervise` again"
-    table = decode_table(file.read_bytes(), load_spec("views"), str(file), repair)
+    table = load_table(file, "views", "run `slgaussian supervise` again")
     for batch in table.select(VIEW_COLUMNS).to_batches(max_chunksize=10_000):
         yield from batch.to_pylist()

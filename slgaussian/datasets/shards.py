@@ -28,7 +28,7 @@ import pyarrow as pa
 from slgaussian.datasets.splits import SPLITS
 from slgaussian.errors import SpecError
 from slgaussian.io import atomic_path, write_atomic
-from slgaussian.storage.encoding import decode_table, encode_table
+from slgaussian.storage.encoding import load_table, save_table
 from slgaussian.storage.specs import load_spec
 
 END_OF_ARCHIVE = bytes(2 * tarfile.BLOCKSIZE)  # the end of a tar file
@@ -99,11 +99,9 @@ class Written:
 
 def read_index(out: Path) -> pa.Table:
     """Read the index of a set, spec ``training_set``; empty if it is missing or unreadable."""
-    spec = load_spec("training_set")
-    try:
-        return decode_table((out / INDEX).read_bytes(), spec, str(out / INDEX), REPAIR)
-    except (FileNotFoundError, SpecError):
-        return spec.schema.empty_table()
+    with suppress(FileNotFoundError, SpecError):
+        return load_table(out / INDEX, "training_set", REPAIR)
+    return load_spec("training_set").schema.empty_table()
 
 
 def write_shards(
@@ -166,7 +164,7 @@ def write_shards(
 
 def write_index(out: Path, index: pa.Table) -> None:
     """Write the index of a set, from which moment readers see it; OSError if that fails."""
-    write_atomic(out / INDEX, encode_table(index, load_spec("training_set")))
+    save_table(out / INDEX, index, "training_set")
 
 
 def retire_shards(out: Path, shards: Collection[str], keep_days: float) -> None:

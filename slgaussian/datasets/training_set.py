@@ -172,7 +172,9 @@ class TrainingSet(Dataset[dict[str, Any]]):
 def _images(members: Mapping[str, bytes], role: str) -> torch.Tensor:
     """Decode the images of a role in the order of their numbers, uint8 [V, 3, H, W]."""
     pixels: list[np.ndarray] = []
-    while suffix := next((s for s in (".jpg", ".png") if f"{role}_{len(pixels)}{s}" in members), ""):
+    while suffix := next(
+        (s for s in (".jpg", ".png") if f"{role}_{len(pixels)}{s}" in members), ""
+    ):
         name = f"{role}_{len(pixels)}"
         with opened(io.BytesIO(members[name + suffix])) as image:
             pixels.append(rgb(image, name))

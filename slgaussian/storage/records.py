@@ -40,7 +40,7 @@ class Record:
     ref: ArtifactRef | None
 
     @property
-    def named(self) -> list[str]:
+    def uris(self) -> list[str]:
         """Paths of the artifact and of its parts."""
         return [] if self.ref is None else self.ref.uris
 
@@ -87,7 +87,7 @@ class Records:
     def all(self, folder: str = FOLDER) -> Iterator[list[Record]]:
         """Yield all records below a folder, one list for each folder."""
 
-        def record_of(file: File) -> Record:
+        def read_record(file: File) -> Record:
             match = _FILE.fullmatch(file.uri)
             assert match is not None  # filtered below
             try:
@@ -97,7 +97,7 @@ class Records:
             return Record(file, match["stage"], int(match["version"]), ref)
 
         for files in self.store.walk([folder]):
-            yield self.store.map(record_of, [f for f in files if _FILE.fullmatch(f.uri)])
+            yield self.store.map(read_record, [f for f in files if _FILE.fullmatch(f.uri)])
 
     def _stamps(self, ref: ArtifactRef) -> list[str] | None:
         """Return the stamps of the file and of its parts; None if a stamp is missing."""
