@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
+from slgaussian.checks import check_cameras
+from slgaussian.datasets.lens import Maps, lens_maps
 from slgaussian.datasets.photographs import (
     Mask,
     find_file,
@@ -145,7 +146,7 @@ class Frame:
             raise self.error("has no transform_matrix of 4x4 numbers, camera-to-world") from None
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         try:
-            camera = checked_camera(Camera(K, c2w, int(w), int(h)))
+            camera = Camera(K, c2w, int(w), int(h))
             if (extra := self.values.get(EXTENSION_KEY)) is None:
                 return camera
             if not isinstance(extra, dict):
@@ -414,7 +415,9 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     content = _parse_file(file)
     if isinstance(content, dict) and "transform_matrix" in content and "frames" not in content:
         name = str(content.get("file_path") or file.name)
-        return {name: Frame.of(file, name, content).camera(None)}
+        cameras = {name: Frame.of(file, name, content).camera(None)}
+        check_cameras(cameras, lambda _: file)
+        return cameras
     if isinstance(content, dict) and "camera_path" in content:
         return _camera_path(file, content)
     return dict(read(path).cameras)

@@ -24,7 +24,7 @@ import fsspec
 import numpy as np
 from PIL import Image
 
-from slgaussian.datasets.lens import checked_camera
+from slgaussian.checks import check_intrinsics
 from slgaussian.datasets.photographs import MIN_OPAQUE_ALPHA, rgb
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
@@ -268,9 +268,11 @@ def camera_of(row: np.ndarray, width: int, height: int, label: str = "camera") -
     c2w[:3, 3] = -rotation.T @ translation
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     try:
-        return checked_camera(Camera(K, c2w, width, height), fractions=True)
+        camera = Camera(K, c2w, width, height)
+        check_intrinsics(camera, fractions=True)
     except InputError as error:
         raise InputError(f"{label}: {error}") from None
+    return camera
 
 
 def row_of(camera: Camera) -> np.ndarray:

@@ -23,7 +23,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_geometry
 from slgaussian.masks.precomputed import Precomputed
 from slgaussian.predict.precomputed import find_maps
-from slgaussian.scene import Sample
+from slgaussian.scene import Camera, Sample, Scene
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
 from tasks.scene import Photographs
 
@@ -222,3 +222,13 @@ def test_companions_are_ranked_by_their_paths(tmp_path):
     assert companion(tmp_path, "c.jpg", [".png"]) is None
     with pytest.raises(InputError, match="fits two photographs"):
         companion(tmp_path, "b.jpg", [".png"], ["b.png"])
+
+
+@pytest.mark.parametrize(
+    ("focal", "centre", "refusal"),
+    [(0.8, 48, "focal length x is 0.8"), (80, 0.5, r"principal point is \(0.5, 0.5\)")],
+)
+def test_scene_of_any_origin_refuses_implausible_cameras_by_view(focal, centre, refusal):
+    K = np.array([[focal, 0, centre], [0, focal, centre], [0, 0, 1]])
+    with pytest.raises(InputError, match=rf"^scene 'memory': 'a': {refusal}"):
+        Scene("memory", {"a": Camera(K, np.eye(4), WIDTH, HEIGHT)}, lambda name: None)
