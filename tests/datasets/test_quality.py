@@ -47,7 +47,7 @@ def test_exposure_is_the_mean_and_the_clipped_share():
     assert exposure(np.full((4, 4), 128, np.uint8)) == (pytest.approx(0.502, abs=1e-3), 0)
 
 
-def test_undecodable_image_is_refused(photo):
+def test_glance_refuses_undecodable_image(photo):
     for data in (b"", b"no image", jpeg(photo)[:5000]):
         with pytest.raises(InputError, match="its JPEG cannot be decoded"):
             glance(data)
