@@ -52,7 +52,7 @@ DIGEST = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Traces:
-    """What clips leave in files: their names, those of their samples, digests of photographs."""
+    """Names of clips and digests of their photographs, by which files of them are found."""
 
     clips: frozenset[str]
     photographs: frozenset[str]
@@ -112,14 +112,11 @@ class Traces:
                 return any(map(self.is_in_clip, re10k.clips_in(data, name)))
             if suffix == ".npz":
                 arrays, metadata = decode_npz(data)
-                texts = [
-                    str(text) for a in arrays.values() if a.dtype.kind == "U" for text in a.flat
-                ]
-                blobs = {
-                    n: a.tobytes() for n, a in arrays.items() if a.dtype == "u1" and a.ndim == 1
-                }
-                return self.is_in_text("\n".join([json.dumps(metadata), *texts])) or any(
-                    self.is_in_file(f"x.{kind}", blob) for kind, blob in blobs.items()
+                texts = [json.dumps(metadata)]
+                texts += [str(t) for a in arrays.values() if a.dtype.kind == "U" for t in a.flat]
+                files = [(n, a) for n, a in arrays.items() if a.dtype == "u1" and a.ndim == 1]
+                return self.is_in_text("\n".join(texts)) or any(
+                    self.is_in_file(f"x.{suffix}", array.tobytes()) for suffix, array in files
                 )
         return False
 
@@ -201,13 +198,13 @@ def find_derived_files(store: ArtifactStore, marked: Collection[str]) -> list[st
             if record.file.uri in marked or not digests.isdisjoint(used):
                 gone[record.file.uri] = None
                 digests.add(record.ref.digest)
-    named = {uri for r in records if r.file.uri not in gone for uri in r.uris}
+    shared = {uri for r in records if r.file.uri not in gone for uri in r.uris}
     lost = {uri for r in records if r.file.uri in gone for uri in r.uris}
     direct = {uri for uri in marked if ref_of(uri) or uri.startswith((f"{RECORDS}/", "digests/"))}
     if any(uri.startswith(HISTORY) for uri in marked):
         direct |= {f"{HISTORY}{ending}" for ending in ("", "-wal", "-shm")}
     return [
-        *sorted(lost - named - direct),
+        *sorted(lost - shared - direct),
         *(uri for uri in reversed(gone) if uri not in direct),
         *sorted(direct),
     ]
@@ -232,7 +229,11 @@ def purge_folder(folder: Path, traces: Traces) -> None:
                 with atomic_path(file) as draft:
                     pq.write_table(table, draft, compression="zstd")
             elif file.suffix == ".torch":
-                _purge_chunk(file, traces)
+                clips = [clip for clip in re10k.read_chunk(file) if not traces.is_in_clip(clip)]
+                if clips:
+                    write_atomic(file, re10k.encoded(clips))
+                else:
+                    file.unlink()
             elif file.name == re10k.INDEX:
                 chunks = re10k.read_index(file.parent)
                 chunks = {clip: chunk for clip, chunk in chunks.items() if clip not in traces.clips}
@@ -241,14 +242,6 @@ def purge_folder(folder: Path, traces: Traces) -> None:
             _purge_set(folder, traces)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from error
-
-
-def _purge_chunk(file: Path, traces: Traces) -> None:
-    clips = [clip for clip in re10k.read_chunk(file) if not traces.is_in_clip(clip)]
-    if clips:
-        write_atomic(file, re10k.encoded(clips))
-    else:
-        file.unlink()
 
 
 def _purge_set(out: Path, traces: Traces) -> None:

@@ -144,7 +144,7 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
         SpecError: If the bytes are damaged or truncated, have another spec or version of it, or
             break ``spec``. The message names ``file`` and gives the advice ``repair``.
     """
-    with _whole(data, file, spec, repair):
+    with _explain_damage(data, file, spec, repair):
         table = read_table(data)
         table.validate(full=True)
         label = (table.schema.metadata or {}).get(b"spec", b"").decode() or None
@@ -155,7 +155,7 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
 
 def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
     """Read arrays of :func:`encode_arrays`; SpecError as in :func:`decode_table`."""
-    with _whole(data, file, spec, repair):
+    with _explain_damage(data, file, spec, repair):
         arrays, metadata = decode_npz(data)
     spec.check_label(metadata.get("spec"), file, repair)
     spec.check_arrays(arrays, file)
@@ -198,7 +198,7 @@ def read_metadata(data: bytes) -> dict[str, Any]:
 
 
 @contextmanager
-def _whole(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
+def _explain_damage(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # a damaged file raises almost anything
