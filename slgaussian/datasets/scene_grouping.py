@@ -69,7 +69,7 @@ class Places:
             for video in {view["video"] for view in views}:
                 self._share((VIDEO, video), clip, "video")
             data = [bytes.fromhex(view["signature"]) for view in views]
-            shows_something = normalise(stack_signatures(data)).any(1)
+            shows_something = np.atleast_1d(normalise(stack_signatures(data)).any(1))
             for view, signature, shows in zip(views, data, shows_something, strict=True):
                 if shows:  # black frames are alike in all videos
                     # The first 16 of 64 digits suffice: no collision is expected in ten million.
@@ -89,8 +89,8 @@ class Places:
             roots = [repr(self._joined[CLIP, clip]) for clip in clips]
             numbers = np.array([clips[clip] for clip in owners])
             groups = np.unique(roots, return_inverse=True)[1]
-            for pair in find_copies(stack_signatures(data), numbers, groups[numbers]):
-                self._join(*(owners[index] for index in pair), "near copy")
+            for first, second in find_copies(stack_signatures(data), numbers, groups[numbers]):
+                self._join(owners[first], owners[second], "near copy")
         for clip, place in self._recorded.items():
             self._share((RECORDED, place), clip, "recorded")
         result = {}

@@ -116,8 +116,8 @@ class Records:
                 is_valid = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
                 # A forged record must not point outside the store.
                 is_valid = is_valid and is_digest(ref.digest)
-                for uri in ref.uris:
-                    is_valid = is_valid and not uri.startswith("/") and ".." not in uri.split("/")
+                for path in ref.uris:
+                    is_valid = is_valid and path[:1] != "/" and ".." not in path.split("/")
             except (ValueError, TypeError, AttributeError):
                 is_valid = False
             if not is_valid:

@@ -1,22 +1,14 @@
 """Measures of blur and exposure, and the choice of sharp keyframes."""
 
-import io
-
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from test_splits import jpeg
 
 from slgaussian import datasets
 from slgaussian.datasets.sharpness import blur, choose_keyframes, exposure, glance
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
-
-
-def jpeg(pixels: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "JPEG", quality=95)
-    return stream.getvalue()
 
 
 @pytest.fixture(scope="module")
