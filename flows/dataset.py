@@ -2,7 +2,7 @@
 
 One pipeline chooses the samples of each chunk and scene, a second one computes each sample, which
 is the unit of work, of caching and of failure. Then the samples are written to shards
-(:mod:`slgaussian.datasets.shard_writing`) as a version of the set
+(:mod:`slgaussian.datasets.shards`) as a version of the set
 (:mod:`slgaussian.datasets.set_versions`) with a data card (:mod:`slgaussian.datasets.data_card`).
 """
 
@@ -27,7 +27,7 @@ from slgaussian.datasets.data_card import UNKNOWN, describe_set
 from slgaussian.datasets.leaks import check_shards
 from slgaussian.datasets.scene_grouping import VIEW_COLUMNS, Places
 from slgaussian.datasets.set_versions import add_version, read_versions
-from slgaussian.datasets.shard_writing import (
+from slgaussian.datasets.shards import (
     Written,
     read_index,
     retire_shards,

@@ -1,22 +1,30 @@
-"""Names of photographs: their order, their uniqueness, and the files that belong to them.
+"""Names of photographs, the files that belong to them, and their cameras.
 
-Every :class:`slgaussian.scene.Scene` passes :func:`check_names`, whichever reader or program made
-it, and whatever belongs to a photograph (labels, masks, depth, ids, predictions) is looked up by
-:func:`companion` or :func:`matching`. A name is a path with slashes; backslashes of Windows count
-as slashes, and the suffix may differ.
+Every :class:`slgaussian.scene.Scene` passes :func:`check_names` and :func:`check_cameras`,
+whichever reader or program made it, and whatever belongs to a photograph (labels, masks, depth,
+ids, predictions) is looked up by :func:`companion` or :func:`matching`. A name is a path with
+slashes; backslashes of Windows count as slashes, and the suffix may differ.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slgaussian.errors import InputError
 
+if TYPE_CHECKING:
+    from slgaussian.scene import Camera
+
 SUFFIX = re.compile(r"\.[A-Za-z][A-Za-z0-9]*$")
 """Suffix of a file's name; in ``frame.0001`` there is none."""
+
+MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW = 3.0, 175.0
+"""Range of plausible fields of view, degrees."""
 
 
 def natural_key(name: str) -> tuple:
@@ -162,3 +170,52 @@ def _is_there(path: Path, folder: bool) -> bool:
         return path.is_dir() if folder else path.is_file()
     except (OSError, ValueError):  # invalid names, which camera files may contain
         return False
+
+
+def check_cameras(cameras: Mapping[str, Camera], find_place: Callable[[str], object]) -> None:
+    """Check the intrinsics of cameras by view name, as :func:`check_intrinsics`.
+
+    ``find_place`` returns what has a camera, for the message.
+    """
+    for name, camera in cameras.items():
+        try:
+            check_intrinsics(camera)
+        except InputError as bad:
+            raise InputError(f"{find_place(name)}: {name!r}: {bad}") from None
+
+
+def check_intrinsics(camera: Camera, fractions: bool = False) -> None:
+    """Check that the intrinsics of a camera are plausible.
+
+    The field of view across each side is at most :data:`MAX_FIELD_OF_VIEW` degrees, and across the
+    longer side, with either focal length, at least :data:`MIN_FIELD_OF_VIEW`. The principal point
+    is at most a photograph's size away from the photograph, and not in its first pixel, where
+    fractions lie.
+
+    Args:
+        fractions: Whether the file has fractions of width and height, as in RealEstate10K, not
+            pixels.
+
+    Raises:
+        InputError: If they are not; the message gives the number as in the file.
+    """
+    width, height = camera.width, camera.height
+    unit = "fractions of width and height" if fractions else "pixels"
+    for axis, focal, side in (("x", camera.K[0, 0], width), ("y", camera.K[1, 1], height)):
+        sides = (side, max(width, height))
+        view, longest_view = (math.degrees(2 * math.atan2(s / 2, focal)) for s in sides)
+        if view > MAX_FIELD_OF_VIEW or longest_view < MIN_FIELD_OF_VIEW:
+            raise InputError(
+                f"focal length {axis} is {focal / side if fractions else focal:.6g}, for "
+                f"{width}x{height} pixels a field of view of {view:.3g} degrees, expected "
+                f"{MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g}; give it in {unit}"
+            )
+    x, y = camera.K[:2, 2]
+    is_near = -width <= x <= 2 * width and -height <= y <= 2 * height
+    is_fraction = not fractions and 0 <= x < 1 and 0 <= y < 1 and min(width, height) > 2
+    if not is_near or is_fraction:
+        x, y = (x / width, y / height) if fractions else (x, y)
+        raise InputError(
+            f"principal point is ({x:.6g}, {y:.6g}), far from the middle of {width}x{height} "
+            f"pixels; give it in {unit}"
+        )

@@ -136,7 +136,7 @@ def file_digest(place: str | Path) -> str:
     """
     file = Path(place).resolve()
     stamp = file_stamp(file)
-    return file_sha256(file) if stamp is None else _digest_of(file, stamp)
+    return file_sha256(file) if stamp is None else _hash_file(file, stamp)
 
 
 def file_stamp(file: str | Path) -> tuple[int, ...] | None:
@@ -152,7 +152,7 @@ def file_stamp(file: str | Path) -> tuple[int, ...] | None:
 
 
 @lru_cache(maxsize=1024)
-def _digest_of(file: Path, stamp: tuple[int, ...]) -> str:
+def _hash_file(file: Path, stamp: tuple[int, ...]) -> str:
     return file_sha256(file)
 
 
@@ -203,14 +203,14 @@ def short(value: Any) -> str:
     if isinstance(value, Mapping):
         plain = all(isinstance(item, (str, int, float)) for item in value.values())
         entries = (f"{key!r}: {item!r}" if plain else repr(key) for key, item in value.items())
-        return f"{{{_listed(entries, len(value))}}}"
+        return f"{{{_join_entries(entries, len(value))}}}"
     if isinstance(value, (tuple, list)):
         names = (repr(getattr(item, "name", item)) for item in value)
-        return f"({_listed(names, len(value))})"
+        return f"({_join_entries(names, len(value))})"
     return value.__qualname__ if hasattr(value, "__qualname__") else repr(value)
 
 
-def _listed(texts: Iterable[str], count: int) -> str:
+def _join_entries(texts: Iterable[str], count: int) -> str:
     entries = [text for text, _ in zip(texts, range(MAX_SHOWN_ENTRIES), strict=False)]
     return ", ".join(
         [*entries, f"and {count - MAX_SHOWN_ENTRIES} more"]

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from slgaussian.checks import check_names, name_parts, namesakes, order_naturally
+from slgaussian.checks import check_cameras, check_names, name_parts, namesakes, order_naturally
 from slgaussian.copies import Thumbnail, are_copies
 from slgaussian.errors import InputError
 from slgaussian.formats.images import MAX_PIXELS
@@ -434,6 +434,7 @@ class Scene:
         check_names(self.name, self.cameras)
         ordered = {name: self.cameras[name] for name in order_naturally(self.cameras)}
         self.__dict__["cameras"] = ordered
+        check_cameras(ordered, lambda name: next(iter(self.sources(name)), f"scene {self.name!r}"))
         for name, camera in ordered.items():
             fx, fy = camera.K[[0, 1], [0, 1]]
             if max(fx, fy) > MAX_STRETCH * min(fx, fy):

@@ -182,7 +182,10 @@ def test_a_view_answers_to_its_short_names():
     ],
 )
 def test_photograph_that_leaves_few_pixels_of_the_others_is_named(sizes, warning, recwarn):
-    cameras = {n: camera(*size, x=i) for i, (n, size) in enumerate(zip("abc", sizes, strict=False))}
+    cameras = {
+        n: camera(w, h, focal=w, x=i)
+        for i, (n, (w, h)) in enumerate(zip("abc", sizes, strict=False))
+    }
     scene = Scene("s", cameras, lambda name: view(name, cameras[name]))
     scene.sample(list(cameras))
     scene.sample(list(cameras), size=(30, 40))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,19 +31,8 @@ READERS = {
     "procedural": "slgaussian.datasets.procedural.reader:read",
 }
 
-FILES = {
-    "re10k": "slgaussian.datasets.re10k:files",
-    "photographs": "slgaussian.datasets.unposed:files",
-}
-"""Functions that list the files of a scene, for formats that take long to read."""
-
-SETS = {
-    "lerf_ovs": "slgaussian.datasets.labelled_sets:scenes",
-    "ovs3d": "slgaussian.datasets.labelled_sets:scenes",
-    "re10k": "slgaussian.datasets.re10k:scenes",
-}
-"""Functions that list the scenes of a folder, for formats with several scenes per folder."""
-
+"""Reader of each format. Its module may have ``files``, which lists those of a scene that takes
+long to read, and ``scenes``, which lists the scenes of a folder that may have several."""
 
 FROM_FILES = tuple(name for name in READERS if name not in ("procedural", "stereo"))
 """Formats that are read from files; data of the other formats come with the program."""
@@ -59,9 +49,7 @@ def load(format: str, *args: Any, **settings: Any) -> Scene:
         InputError: If the format is unknown, its reader does not take these arguments or the data
             are invalid.
     """
-    read = resolve("data format", READERS, format)
-    _check(format, read, args, settings)
-    return read(*args, **settings)
+    return _call(format, resolve("data format", READERS, format), *args, **settings)
 
 
 def inputs(
@@ -88,10 +76,8 @@ def inputs(
     """
     if format not in FROM_FILES:
         return [], {}
-    if format in FILES:
-        listing = resolve("data format", FILES, format)
-        _check(format, listing, (path,), settings)
-        return listing(path, **settings), {}
+    if list_files := _find_listing(format, "files"):
+        return _call(format, list_files, path, **settings), {}
     scene = load(format, path, **settings)
     names = [scene.find(name) for name in scene.placed(views)]
     files = [file for name in names for file in scene.sources(name)]
@@ -109,8 +95,8 @@ def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
             read.
     """
     check_format(format)
-    if format in SETS:
-        return resolve("data format", SETS, format)(path)
+    if list_scenes := _find_listing(format, "scenes"):
+        return list_scenes(path)
     path = Path(path)
     folder = path if path.is_dir() else path.parent
     return {folder.resolve().name or "scene": {}}
@@ -124,12 +110,20 @@ def check_format(format: str) -> None:
         raise InputError(f"data format {format!r} reads no folder; expected {expected}")
 
 
-def _check(format: str, function: Callable, args: tuple, settings: dict[str, Any]) -> None:
+def _find_listing(format: str, name: str) -> Callable[..., Any] | None:
+    """Return the function ``files`` or ``scenes`` of the module of a format, if it has one."""
+    module = sys.modules[resolve("data format", READERS, format).__module__]
+    return getattr(module, name, None)
+
+
+def _call(format: str, function: Callable[..., Any], *args: Any, **settings: Any) -> Any:
+    """Call a function of a format; InputError if it does not take these arguments."""
     try:
         inspect.signature(function).bind(*args, **settings)
     except TypeError as error:
         takes = ", ".join(inspect.signature(function).parameters) or "nothing"
         raise InputError(f"data format {format!r}: {error}; it takes {takes}") from None
+    return function(*args, **settings)
 
 
 def __getattr__(name: str) -> Any:

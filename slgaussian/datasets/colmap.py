@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
+from slgaussian.datasets.lens import Maps, lens_maps
 from slgaussian.datasets.photographs import (
     find_file,
     has_shape,
@@ -98,7 +98,10 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         if name in poses:
             raise InputError(f"{source}: two images are called {name!r}; remove one")
         poses[name] = pose
-    files = {name: _file(path, folder, name) for name in sorted(poses)}
+    files = {
+        name: find_file(folder / name) or find_file(path / name) or folder / name
+        for name in sorted(poses)
+    }
     lenses = {}
     for number, stored in stored_cameras.items():
         camera_files = (file for name, file in files.items() if poses[name].camera == number)
@@ -109,7 +112,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         if lens is not None:
             maps[name] = lens
         try:
-            cameras[name] = checked_camera(Camera(K, np.linalg.inv(poses[name].w2c), *size))
+            cameras[name] = Camera(K, np.linalg.inv(poses[name].w2c), *size)
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
     name = path.resolve().name or "scene"
@@ -146,11 +149,6 @@ def model_files(folder: Path) -> list[Path]:
     """List the files of cameras and images in a folder, of one format; empty if one is missing."""
     pairs = ([folder / f"cameras{kind}", folder / f"images{kind}"] for kind in (".bin", ".txt"))
     return next((files for files in pairs if all(file.is_file() for file in files)), [])
-
-
-def _file(scene: Path, folder: Path, name: str) -> Path:
-    """Return the path of a photograph, which may be missing."""
-    return find_file(folder / name) or find_file(scene / name) or folder / name
 
 
 def _lens(
@@ -192,7 +190,7 @@ def _read_model(folder: Path) -> tuple[dict[int, _Intrinsics], list[tuple[str, _
 
 
 @contextmanager
-def _damage_named(file: Path) -> Iterator[None]:
+def _explain_damage(file: Path) -> Iterator[None]:
     """Raise InputError, which names the file, for errors while it is read and parsed."""
     try:
         yield
@@ -207,7 +205,7 @@ def _damage_named(file: Path) -> Iterator[None]:
 def _read_cameras(file: Path) -> dict[int, _Intrinsics]:
     cameras: dict[int, _Intrinsics] = {}
     counts = dict(CAMERA_MODELS.values())
-    with _damage_named(file):
+    with _explain_damage(file):
         for number, model, width, height, params in _stored_cameras(file):
             if number in cameras:
                 raise ValueError(f"it has two cameras {number}")
@@ -226,7 +224,7 @@ def _read_cameras(file: Path) -> dict[int, _Intrinsics]:
 
 def _read_images(file: Path) -> list[tuple[str, _Pose]]:
     images = []
-    with _damage_named(file):
+    with _explain_damage(file):
         for numbers, camera, name in _stored_images(file):
             if not np.isfinite(numbers).all() or abs(np.linalg.norm(numbers[:4]) - 1) > 0.01:
                 raise ValueError(f"image {name!r}: {numbers} is no unit quaternion and translation")

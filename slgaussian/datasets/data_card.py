@@ -18,7 +18,8 @@ import pyarrow.parquet as pq
 from slgaussian.benchmark import pictures
 from slgaussian.benchmark.reports.model import count_text
 from slgaussian.datasets.set_versions import Manifest
-from slgaussian.datasets.training_set import INDEX, TrainingSet
+from slgaussian.datasets.shards import INDEX
+from slgaussian.datasets.training_set import TrainingSet
 from slgaussian.io import file_sha256, write_atomic
 from slgaussian.storage.specs import load_spec
 
@@ -90,9 +91,9 @@ def _draw_sheet(samples: TrainingSet) -> np.ndarray:
     """Draw a row for each of some samples, of as many places as possible; uint8 [H, W, 3]."""
     rows = samples.rows.select(["sample", "place"]).to_pylist()
     ranks = [hashlib.sha256(row["sample"].encode()).hexdigest() for row in rows]
-    order = sorted(range(len(rows)), key=lambda number: ranks[number])
-    first = {rows[number]["place"]: number for number in reversed(order)}
-    chosen = sorted(order, key=lambda number: first[rows[number]["place"]] != number)
+    order = sorted(range(len(rows)), key=ranks.__getitem__)
+    first = {*{rows[number]["place"]: number for number in reversed(order)}.values()}
+    chosen = sorted(order, key=lambda number: number not in first)
     tiles = []
     for number in chosen[:SHOWN_SAMPLES]:
         item = samples[number]

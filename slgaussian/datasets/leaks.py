@@ -8,19 +8,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 from slgaussian.copies import normalise, signature
-from slgaussian.datasets.near_copies import (
-    SIGNATURE_SIDE,
-    find_copies,
-    stack_signatures,
-)
+from slgaussian.datasets.near_copies import SIGNATURE_SIDE, find_copies, stack_signatures
 from slgaussian.datasets.shards import unpack
 from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError
@@ -32,8 +28,7 @@ SURE_CORRELATION = 0.985
 IMAGES = (".jpg", ".png")
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A picture as it was written: its name for messages, clip, side, SHA-256 and signature."""
 
     name: str
@@ -50,28 +45,29 @@ def check_pictures(pictures: Sequence[Picture], source: str) -> None:
         pictures: Those of a clip follow each other.
         source: What has them, for the message.
     """
+    for first, second, how in _find_leaks(pictures):
+        raise InputError(
+            f"{source}: {first.name} ({first.side}) and {second.name} ({second.side}) {how}, so "
+            "the split leaks and is not written; give both clips one place by PLACE=SOURCE, or "
+            "withdraw one"
+        )
+
+
+def _find_leaks(pictures: Sequence[Picture]) -> Iterator[tuple[Picture, Picture, str]]:
+    """Yield pairs of pictures on two sides that are one, and how; equal ones first."""
     by_digest: dict[str, Picture] = {}
     signatures = stack_signatures([picture.signature for picture in pictures])
     shown = np.atleast_1d(normalise(signatures).any(1))
-    for picture, shows_something in zip(pictures, shown, strict=True):
-        if not shows_something:
-            continue
+    for picture in compress(pictures, shown):
         other = by_digest.setdefault(picture.digest, picture)
         if other.side != picture.side:
-            _refuse(other, picture, "are equal byte for byte", source)
+            yield other, picture, "are equal byte for byte"
     clips, sides = (
         np.unique([getattr(p, name) for p in pictures], return_inverse=True)[1]
         for name in ("clip", "side")
     )
     for first, second in find_copies(signatures, clips, sides, SURE_CORRELATION):
-        _refuse(pictures[first], pictures[second], "are near copies", source)
-
-
-def _refuse(first: Picture, second: Picture, how: str, source: str) -> None:
-    raise InputError(
-        f"{source}: {first.name} ({first.side}) and {second.name} ({second.side}) {how}, so the "
-        "split leaks and is not written; give both clips one place by PLACE=SOURCE, or withdraw one"
-    )
+        yield pictures[first], pictures[second], "are near copies"
 
 
 def check_views(views: Iterable[Mapping[str, Any]], sides: Mapping[str, str], source: Path) -> None:
@@ -82,17 +78,11 @@ def check_views(views: Iterable[Mapping[str, Any]], sides: Mapping[str, str], so
         sides: {clip: side}
         source: Their file.
     """
-    pictures = [
-        Picture(
-            f"frame {view['frame']} of clip {view['clip']!r}",
-            view["clip"],
-            sides[view["clip"]],
-            view["digest"],
-            bytes.fromhex(view["signature"]),
-        )
-        for view in views
-        if view["clip"] in sides
-    ]
+    pictures = []
+    for view in views:
+        if side := sides.get(clip := view["clip"]):
+            name, signature = f"frame {view['frame']} of clip {clip!r}", view["signature"]
+            pictures.append(Picture(name, clip, side, view["digest"], bytes.fromhex(signature)))
     check_pictures(pictures, str(source))
 
 
@@ -125,6 +115,5 @@ def _pictures(out: Path, index: pa.Table) -> Iterator[Picture]:
         for name, data in members.items():
             if name.endswith(IMAGES):
                 grey = signature(glance(data)[0], SIGNATURE_SIDE).astype(np.uint8)
-                digest = hashlib.sha256(data).hexdigest()
-                side = row["shard"].partition("-")[0]
+                side, digest = row["shard"].partition("-")[0], hashlib.sha256(data).hexdigest()
                 yield Picture(f"{row['sample']}.{name}", row["clip"], side, digest, grey.tobytes())

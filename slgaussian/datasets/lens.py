@@ -1,4 +1,4 @@
-"""Undistortion of photographs to a pinhole camera, and the check of its intrinsics.
+"""Undistortion of photographs to a pinhole camera.
 
 A lens is represented by two maps, float32 [H, W]: for each pixel of the undistorted photograph, its
 column and row in the stored photograph, with pixel centres at integers as in OpenCV.
@@ -6,19 +6,16 @@ column and row in the stored photograph, with pixel centres at integers as in Op
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from slgaussian.errors import InputError
 from slgaussian.formats.resampling import sample_depth
-from slgaussian.scene import Camera, View
+from slgaussian.scene import View
 
 OUTSIDE = -1e4  # column and row of pixels outside the lens's image, which makes them unknown
-MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW = 3.0, 175.0  # range of plausible fields of view, degrees
 
 Maps = tuple[np.ndarray, np.ndarray]
 
@@ -82,41 +79,3 @@ def unfold(columns: np.ndarray, rows: np.ndarray) -> Maps:
     middle = parts[columns.shape[0] // 2, columns.shape[1] // 2]
     visible, outside = (parts == middle) & (upright > 0), np.float32(OUTSIDE)
     return np.where(visible, columns, outside), np.where(visible, rows, outside)
-
-
-def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
-    """Return a camera unchanged if its intrinsics are plausible; every reader calls this.
-
-    The field of view across each side is at most :data:`MAX_FIELD_OF_VIEW` degrees, and across the
-    longer side, with either focal length, at least :data:`MIN_FIELD_OF_VIEW`. The principal point
-    is at most a photograph's size away from the photograph, and not in its first pixel, where
-    fractions lie.
-
-    Args:
-        fractions: Whether the file has fractions of width and height, as in RealEstate10K, not
-            pixels.
-
-    Raises:
-        InputError: If they are not; the message gives the number as in the file.
-    """
-    width, height = camera.width, camera.height
-    unit = "fractions of width and height" if fractions else "pixels"
-    for axis, focal, side in (("x", camera.K[0, 0], width), ("y", camera.K[1, 1], height)):
-        sides = (side, max(width, height))
-        view, longest_view = (math.degrees(2 * math.atan2(s / 2, focal)) for s in sides)
-        if view > MAX_FIELD_OF_VIEW or longest_view < MIN_FIELD_OF_VIEW:
-            raise InputError(
-                f"focal length {axis} is {focal / side if fractions else focal:.6g}, for "
-                f"{width}x{height} pixels a field of view of {view:.3g} degrees, expected "
-                f"{MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g}; give it in {unit}"
-            )
-    x, y = camera.K[:2, 2]
-    is_near = -width <= x <= 2 * width and -height <= y <= 2 * height
-    is_fraction = not fractions and 0 <= x < 1 and 0 <= y < 1 and min(width, height) > 2
-    if not is_near or is_fraction:
-        x, y = (x / width, y / height) if fractions else (x, y)
-        raise InputError(
-            f"principal point is ({x:.6g}, {y:.6g}), far from the middle of {width}x{height} "
-            f"pixels; give it in {unit}"
-        )
-    return camera

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from slgaussian.datasets.lens import checked_camera
 from slgaussian.datasets.photographs import (
     has_shape,
     image_folder,
@@ -94,4 +93,4 @@ def _camera(row: np.ndarray, photograph: Path) -> Camera:
     c2w = np.eye(4)
     c2w[:3, :4] = np.stack([right, down, -back, matrix[:, 3]], 1)
     K = np.array([[focal * w / width, 0, w / 2], [0, focal * h / height, h / 2], [0, 0, 1]])
-    return checked_camera(Camera(K, c2w, w, h, float(near), float(far)))
+    return Camera(K, c2w, w, h, float(near), float(far))

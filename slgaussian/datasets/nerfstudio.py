@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
+from slgaussian.checks import check_cameras
+from slgaussian.datasets.lens import Maps, lens_maps
 from slgaussian.datasets.photographs import (
     Mask,
     find_file,
@@ -145,7 +146,7 @@ class Frame:
             raise self.error("has no transform_matrix of 4x4 numbers, camera-to-world") from None
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         try:
-            camera = checked_camera(Camera(K, c2w, int(w), int(h)))
+            camera = Camera(K, c2w, int(w), int(h))
             if (extra := self.values.get(EXTENSION_KEY)) is None:
                 return camera
             if not isinstance(extra, dict):
@@ -315,7 +316,7 @@ def read(path: str | Path) -> Scene:
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
-    meta = _parsed(file)
+    meta = _parse_file(file)
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     frames: dict[str, Frame] = {}
@@ -411,10 +412,12 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
-    content = _parsed(file)
+    content = _parse_file(file)
     if isinstance(content, dict) and "transform_matrix" in content and "frames" not in content:
         name = str(content.get("file_path") or file.name)
-        return {name: Frame.of(file, name, content).camera(None)}
+        cameras = {name: Frame.of(file, name, content).camera(None)}
+        check_cameras(cameras, lambda _: file)
+        return cameras
     if isinstance(content, dict) and "camera_path" in content:
         return _camera_path(file, content)
     return dict(read(path).cameras)
@@ -447,7 +450,7 @@ def _camera_path(file: Path, content: Mapping[str, Any]) -> dict[str, Camera]:
     return cameras
 
 
-def _parsed(file: Path) -> Any:
+def _parse_file(file: Path) -> Any:
     try:
         return strict_json.parse(file.read_bytes())
     except OSError as bad:

@@ -21,7 +21,7 @@ import numpy as np
 from slgaussian.cameras.check import COARSE_DISTANCE, agree
 from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.cameras.two_view import Photograph
-from slgaussian.datasets.lens import checked_camera
+from slgaussian.checks import check_intrinsics
 from slgaussian.datasets.photographs import scene_of
 from slgaussian.datasets.unposed import folder_of, named, photograph
 from slgaussian.errors import InputError
@@ -164,7 +164,9 @@ class _Map:
         c2w = np.linalg.inv(c2w) if inverted else c2w
         c2w = c2w @ FLIP_YZ if flipped else c2w
         K = self.intrinsics(way, of_map)
-        return checked_camera(Camera(K, c2w, self.photo.width, self.photo.height))
+        camera = Camera(K, c2w, self.photo.width, self.photo.height)
+        check_intrinsics(camera)
+        return camera
 
 
 def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tuple[int, int]]]:

@@ -93,7 +93,7 @@ def open_photograph(
     """
     try:
         with opened(path) as image:
-            turn = upright or _is_turned(image, size)
+            turn = upright or _needs_turn(image, size)
             image.load()
             oriented = turned_upright(image, orientation_of(image)) if turn else image
             pixels, alpha = read_colours(oriented, str(path)), alpha_of(oriented)
@@ -109,12 +109,12 @@ def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, i
     """Return width and height of an :func:`open_photograph`; None if it cannot be opened."""
     try:
         with opened(path) as image:
-            return image.size[::-1] if _is_turned(image, size) else image.size
+            return image.size[::-1] if _needs_turn(image, size) else image.size
     except (OSError, ValueError):
         return None
 
 
-def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
+def _needs_turn(image: Image.Image, size: tuple[int, int] | None) -> bool:
     """Tell whether a camera of that size fits only the photograph rotated by its EXIF tag."""
     if size is None or orientation_of(image) not in SIDEWAYS_ORIENTATIONS:
         return False

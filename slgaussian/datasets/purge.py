@@ -24,9 +24,15 @@ import pyarrow.parquet as pq
 from slgaussian.datasets import re10k
 from slgaussian.datasets.data_card import describe_set
 from slgaussian.datasets.set_versions import FOLDER, add_version, read_versions, write_manifest
-from slgaussian.datasets.shard_writing import read_index, retire_shards, write_index, write_shards
-from slgaussian.datasets.shards import key_of
-from slgaussian.datasets.training_set import INDEX, TrainingSet
+from slgaussian.datasets.shards import (
+    INDEX,
+    key_of,
+    read_index,
+    retire_shards,
+    write_index,
+    write_shards,
+)
+from slgaussian.datasets.training_set import TrainingSet
 from slgaussian.errors import InputError
 from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.encoding import decode_npz
@@ -46,7 +52,7 @@ DIGEST = re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Traces:
-    """What clips leave in files: their names, those of their samples, digests of photographs."""
+    """Names of clips and digests of their photographs, by which files of them are found."""
 
     clips: frozenset[str]
     photographs: frozenset[str]
@@ -106,14 +112,11 @@ class Traces:
                 return any(map(self.is_in_clip, re10k.clips_in(data, name)))
             if suffix == ".npz":
                 arrays, metadata = decode_npz(data)
-                texts = [
-                    str(text) for a in arrays.values() if a.dtype.kind == "U" for text in a.flat
-                ]
-                blobs = {
-                    n: a.tobytes() for n, a in arrays.items() if a.dtype == "u1" and a.ndim == 1
-                }
-                return self.is_in_text("\n".join([json.dumps(metadata), *texts])) or any(
-                    self.is_in_file(f"x.{kind}", blob) for kind, blob in blobs.items()
+                texts = [json.dumps(metadata)]
+                texts += [str(t) for a in arrays.values() if a.dtype.kind == "U" for t in a.flat]
+                files = [(n, a) for n, a in arrays.items() if a.dtype == "u1" and a.ndim == 1]
+                return self.is_in_text("\n".join(texts)) or any(
+                    self.is_in_file(f"x.{suffix}", array.tobytes()) for suffix, array in files
                 )
         return False
 
@@ -195,13 +198,13 @@ def find_derived_files(store: ArtifactStore, marked: Collection[str]) -> list[st
             if record.file.uri in marked or not digests.isdisjoint(used):
                 gone[record.file.uri] = None
                 digests.add(record.ref.digest)
-    named = {uri for r in records if r.file.uri not in gone for uri in r.named}
-    lost = {uri for r in records if r.file.uri in gone for uri in r.named}
+    shared = {uri for r in records if r.file.uri not in gone for uri in r.uris}
+    lost = {uri for r in records if r.file.uri in gone for uri in r.uris}
     direct = {uri for uri in marked if ref_of(uri) or uri.startswith((f"{RECORDS}/", "digests/"))}
     if any(uri.startswith(HISTORY) for uri in marked):
         direct |= {f"{HISTORY}{ending}" for ending in ("", "-wal", "-shm")}
     return [
-        *sorted(lost - named - direct),
+        *sorted(lost - shared - direct),
         *(uri for uri in reversed(gone) if uri not in direct),
         *sorted(direct),
     ]
@@ -226,7 +229,11 @@ def purge_folder(folder: Path, traces: Traces) -> None:
                 with atomic_path(file) as draft:
                     pq.write_table(table, draft, compression="zstd")
             elif file.suffix == ".torch":
-                _purge_chunk(file, traces)
+                clips = [clip for clip in re10k.read_chunk(file) if not traces.is_in_clip(clip)]
+                if clips:
+                    write_atomic(file, re10k.encoded(clips))
+                else:
+                    file.unlink()
             elif file.name == re10k.INDEX:
                 chunks = re10k.read_index(file.parent)
                 chunks = {clip: chunk for clip, chunk in chunks.items() if clip not in traces.clips}
@@ -235,14 +242,6 @@ def purge_folder(folder: Path, traces: Traces) -> None:
             _purge_set(folder, traces)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror or error})") from error
-
-
-def _purge_chunk(file: Path, traces: Traces) -> None:
-    clips = [clip for clip in re10k.read_chunk(file) if not traces.is_in_clip(clip)]
-    if clips:
-        write_atomic(file, re10k.encoded(clips))
-    else:
-        file.unlink()
 
 
 def _purge_set(out: Path, traces: Traces) -> None:

@@ -24,7 +24,7 @@ import fsspec
 import numpy as np
 from PIL import Image
 
-from slgaussian.datasets.lens import checked_camera
+from slgaussian.checks import check_intrinsics
 from slgaussian.datasets.photographs import MIN_OPAQUE_ALPHA, rgb
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
@@ -63,6 +63,10 @@ class Clip:
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     masks: tuple[bytes, ...] = ()
 
+    def camera(self, number: int, size: tuple[int, int], label: str) -> Camera:
+        """Return the camera of a frame of a size (width, height), in the world."""
+        return camera_of(self.cameras[number], *size, label).relative_to(-self.origin)
+
     def view(self, number: int, prefix: str = "") -> View:
         """Decode one frame; InputError, which begins with ``prefix``, if it is damaged."""
         label = f"{prefix}clip {self.key!r}, frame {number}"
@@ -71,8 +75,7 @@ class Clip:
                 pixels = rgb(image, label)
         except ValueError as error:
             raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
-        height, width = pixels.shape[:2]
-        camera = camera_of(self.cameras[number], width, height, label).relative_to(-self.origin)
+        camera = self.camera(number, pixels.shape[1::-1], label)
         return View(str(number), camera, pixels, opaque=self.opaque(number))
 
     def opaque(self, number: int) -> np.ndarray | None:
@@ -84,11 +87,10 @@ class Clip:
             return None
         try:
             with opened(io.BytesIO(self.masks[number]), ["PNG"]) as image:
-                mask = np.asarray(image.convert("L")) >= MIN_OPAQUE_ALPHA
+                return np.asarray(image.convert("L")) >= MIN_OPAQUE_ALPHA
         except ValueError as error:
             label = f"clip {self.key!r}, frame {number}"
             raise InputError(f"{label}: its mask cannot be decoded ({error})") from None
-        return mask
 
     def scene(self, source: str = "") -> Scene:
         """Return the clip as a scene with views "0" to "N - 1", each decoded when it is read.
@@ -106,18 +108,16 @@ class Clip:
         if usual is None:
             raise InputError(f"{label}: none of its {len(sizes)} images can be decoded")
         cameras = {
-            str(number): camera_of(row, *(size or usual), f"{label}, frame {number}").relative_to(
-                -self.origin
-            )
-            for number, (row, size) in enumerate(zip(self.cameras, sizes, strict=True))
+            str(number): self.camera(number, size or usual, f"{label}, frame {number}")
+            for number, size in enumerate(sizes)
         }
 
-        def read(name: str) -> View:
+        def read_frame(name: str) -> View:
             if name not in cameras:
                 raise InputError(f"{label}: has no frame {name!r}")
             return self.view(int(name), prefix)
 
-        return Scene(self.key, cameras, read)
+        return Scene(self.key, cameras, read_frame)
 
 
 def read(path: str | Path, key: str) -> Scene:
@@ -129,8 +129,8 @@ def read(path: str | Path, key: str) -> Scene:
     Raises:
         InputError: If the index or the chunk cannot be read, or the clip is missing or invalid.
     """
-    chunk = _chunk_of(path, key)
-    for clip in read_chunk(chunk):
+    name = files(path, key)[0].name
+    for clip in read_chunk(chunk := f"{path}/{name}"):
         if clip.key == key:
             return clip.scene(chunk)
     raise InputError(f"{chunk}: has no clip {key!r}, though {INDEX} says so")
@@ -138,15 +138,11 @@ def read(path: str | Path, key: str) -> Scene:
 
 def files(path: str | Path, key: str) -> list[Path]:
     """Return the file of a clip, its chunk; InputError if there is no such clip."""
-    return [Path(_chunk_of(path, key))]
-
-
-def _chunk_of(path: str | Path, key: str) -> str:
     index = read_index(path)
     if key not in index:
         examples = ", ".join(list(index)[:3])
         raise InputError(f"{path}: no clip {key!r} among its {len(index)}, such as {examples}")
-    return f"{path}/{index[key]}"
+    return [Path(f"{path}/{index[key]}")]
 
 
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -240,11 +236,9 @@ def _clip(entry: Any, max_bytes: int) -> Clip:
     origin = _array(entry["origin"]) if "origin" in entry else np.zeros(3)
     if origin.shape != (3,) or origin.dtype != np.float64 or not np.isfinite(origin).all():
         raise ValueError(f"its origin is {origin}, not 3 finite float64 numbers")
-    encoded_images, encoded_masks = (
-        tuple(array.tobytes() for array in part) for part in (arrays, masks)
-    )
+    encoded = [tuple(array.tobytes() for array in part) for part in (arrays, masks)]
     rows = cameras.astype(np.float32)
-    return Clip(key, url, times.astype(np.int64), rows, encoded_images, origin, encoded_masks)
+    return Clip(key, url, times.astype(np.int64), rows, encoded[0], origin, encoded[1])
 
 
 def _array(tensor: Any) -> np.ndarray:
@@ -274,15 +268,16 @@ def camera_of(row: np.ndarray, width: int, height: int, label: str = "camera") -
     c2w[:3, 3] = -rotation.T @ translation
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     try:
-        return checked_camera(Camera(K, c2w, width, height), fractions=True)
+        camera = Camera(K, c2w, width, height)
+        check_intrinsics(camera, fractions=True)
     except InputError as error:
         raise InputError(f"{label}: {error}") from None
+    return camera
 
 
 def row_of(camera: Camera) -> np.ndarray:
     """Invert :func:`camera_of`: float32 [18], without the skew of K."""
-    K, size = camera.K, (camera.width, camera.height)
-    fractions = [K[0, 0] / size[0], K[1, 1] / size[1], K[0, 2] / size[0], K[1, 2] / size[1]]
+    fractions = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]] / ([camera.width, camera.height] * 2)
     return np.array([*fractions, 0, 0, *camera.w2c[:3].ravel()], np.float32)
 
 
@@ -313,12 +308,10 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
         masks.append(mask.getvalue())
         rows.append(row_of(camera.relative_to(origin)))
     if not images:
-        raise InputError(
-            f"scene {scene.name!r}: none of its {len(scene.cameras)} views can be read"
-        )
-    times = np.arange(len(images)) * FRAME_TIME
-    encoded_masks = tuple(masks) if any(masks) else ()
-    return Clip(scene.name, "", times, np.stack(rows), tuple(images), origin, encoded_masks)
+        count = len(scene.cameras)
+        raise InputError(f"scene {scene.name!r}: none of its {count} views can be read")
+    times, masks = np.arange(len(images)) * FRAME_TIME, masks if any(masks) else []
+    return Clip(scene.name, "", times, np.stack(rows), tuple(images), origin, tuple(masks))
 
 
 def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:

@@ -87,7 +87,7 @@ def recognise(path: Path) -> tuple[str, Path]:
         if (path / nerfstudio.FILE).is_file():
             return "nerfstudio", path
         if colmap.models_in(path):
-            return "colmap", _scene_of(path)
+            return "colmap", _find_scene(path)
         if (path / llff.FILE).is_file():
             return "llff", path
         json_files = sorted(file.name for file in path.glob("*.json"))
@@ -107,13 +107,13 @@ def recognise(path: Path) -> tuple[str, Path]:
     if start.startswith(b"PK\x03\x04") or path.suffix == ".npz":
         return "npz", path
     if path in colmap.model_files(path.parent):
-        return "colmap", _scene_of(path.parent)
+        return "colmap", _find_scene(path.parent)
     if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")) or path.suffix == ".json":
         return "nerfstudio", path
     raise InputError(f"{path}: is no file of cameras; expected {EXPECTED}")
 
 
-def _scene_of(path: Path) -> Path:
+def _find_scene(path: Path) -> Path:
     """Return the scene's folder if its reader would use the model in ``path``; else ``path``."""
     scene = colmap.scene_folder(path)
     model, usual = (colmap.largest(colmap.models_in(place)) for place in (path, scene))

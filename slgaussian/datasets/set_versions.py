@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from slgaussian.benchmark.reports.model import count_text
-from slgaussian.datasets.shard_writing import Written
+from slgaussian.datasets.shards import Written
 from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic
@@ -82,17 +81,17 @@ def add_version(
     differ = sorted(name for name in {*old, *plain} if old.get(name) != plain.get(name))
     changed = f"settings changed: {', '.join(differ)}" if differ else ""
     why = [text for text in ("" if history else "first version", changed) if text]
+    otherwise = changed or "its source or the program changed"
 
-    def explain(clip: str, sample: str) -> str:
-        reasons = [text for key in (clip, sample) if (text := (refused or {}).get(key))]
+    def explain_absence(clip: str, sample: str) -> str:
         if clip in withdrawn:
             return "withdrawn"
-        if reasons:
-            return f"refused: {reasons[0]}"
+        for key in (clip, sample):
+            if reason := (refused or {}).get(key):
+                return f"refused: {reason}"
         return otherwise if clip in present else "source gone"
 
-    otherwise = changed or "its source or the program changed"
-    parts = _compare(before, written.index, explain, otherwise)
+    parts = _compare(before, written.index, explain_absence, otherwise)
     why += [f"{part}: {count_text(len(c), 'clip')}" for part, c in parts.items() if c]
     manifest = {
         "spec": load_spec("set_version").label,
@@ -117,17 +116,15 @@ def write_manifest(out: Path, manifest: Manifest) -> None:
 def count_splits(index: pa.Table) -> dict[str, dict[str, int]]:
     """Return the numbers of samples, clips and places of each split."""
     names = ("sample", "clip", "place")
+    counts = index.group_by("split").aggregate([(name, "count_distinct") for name in names])
     return {
-        split: {
-            f"{name}s": len(index.filter(pc.field("split") == split)[name].unique())
-            for name in names
-        }
-        for split in sorted(index["split"].unique().to_pylist())
+        row["split"]: {f"{name}s": row[f"{name}_count_distinct"] for name in names}
+        for row in counts.sort_by("split").to_pylist()
     }
 
 
 def _compare(
-    before: pa.Table, after: pa.Table, explain: Callable[[str, str], str], otherwise: str
+    before: pa.Table, after: pa.Table, explain_absence: Callable[[str, str], str], otherwise: str
 ) -> dict[str, dict[str, Any]]:
     """Return the clips that came, went and changed: the number of samples, and why."""
     old, new = ({row["sample"]: row for row in t.to_pylist()} for t in (before, after))
@@ -138,7 +135,7 @@ def _compare(
         if name not in old:
             part, why = "came", otherwise if clip in clips_before else "new clip"
         elif name not in new:
-            part, why = "went", explain(clip, name)
+            part, why = "went", explain_absence(clip, name)
         elif changed := [key for key in CONTENT if old[name][key] != new[name][key]]:
             part, why = "changed", f"another {' and '.join(changed)}"
             why += f"; {otherwise}" if "digest" in changed else ""

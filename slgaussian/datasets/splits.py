@@ -18,9 +18,8 @@ import pyarrow as pa
 
 from slgaussian.datasets.scene_grouping import Places
 from slgaussian.errors import InputError
-from slgaussian.io import write_atomic
 from slgaussian.kernels.seeding import held_out, seed_for
-from slgaussian.storage.encoding import decode_table, encode_table
+from slgaussian.storage.encoding import load_table, save_table
 from slgaussian.storage.specs import load_spec
 
 FILE = "places.parquet"
@@ -47,7 +46,7 @@ class Split:
 
     def write(self, folder: Path) -> None:
         """Write the table to a folder; OSError if that fails."""
-        write_atomic(folder / FILE, encode_table(self.table, load_spec("places")))
+        save_table(folder / FILE, self.table, "places")
 
     @property
     def digest(self) -> str:
@@ -80,13 +79,8 @@ def read_split(*folders: Path) -> list[dict[str, Any]]:
     rows: dict[str, dict[str, Any]] = {}
     for file in (folder / FILE for folder in folders):
         if file.is_file():
-            table = decode_table(
-                file.read_bytes(),
-                load_spec("places"),
-                str(file),
-                "restore it from a copy: without it, clips may change their side",
-            )
-            for row in table.to_pylist():
+            repair = "restore it from a copy: without it, clips may change their side"
+            for row in load_table(file, "places", repair).to_pylist():
                 before = rows.setdefault(row["clip"], row)
                 if row["split"] == TRAIN:
                     rows[row["clip"]] = {**before, "split": TRAIN}

@@ -27,7 +27,7 @@ from torch.utils.data import Dataset
 from torch.utils.data._utils.collate import default_collate_fn_map
 
 from slgaussian.datasets.photographs import rgb
-from slgaussian.datasets.shards import unpack
+from slgaussian.datasets.shards import INDEX, REPAIR, unpack
 from slgaussian.datasets.splits import SPLITS
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
@@ -36,12 +36,8 @@ from slgaussian.storage.encoding import decode_arrays, decode_table
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 from slgaussian.storage.specs import load_spec
 
-INDEX = "index.parquet"
-IMAGE_SUFFIXES = ("jpg", "png")
 SPECS = {"geometry": "example_geometry", "labels": "labels", "bank": "bank"}
 """The spec of each ``.npz`` member of a sample."""
-
-REPAIR = "make the set anew with `slgaussian dataset`"
 
 
 class TrainingSet(Dataset[dict[str, Any]]):
@@ -96,20 +92,18 @@ class TrainingSet(Dataset[dict[str, Any]]):
             which = "" if split is None else f" of the split {split!r}"
             raise InputError(f"{self.folder}: has no sample{which} that was asked for")
         self.rows = rows
-        places = ("shard", "offset", "bytes")
-        self._places = list(zip(*(rows[name].to_pylist() for name in places), strict=True))
 
     def __repr__(self) -> str:
         return f"TrainingSet({self.folder!r}, {len(self)} samples)"
 
     def __len__(self) -> int:
-        return len(self._places)
+        return self.rows.num_rows
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         """Read one sample; SpecError, which names the shard, if it is damaged or missing."""
         members = self.members(index)
         row: dict[str, Any] = self.rows.slice(index, 1).to_pylist()[0]
-        label = f"{self.folder}/{self._places[index][0]}: {row['sample']}"
+        label = f"{self.folder}/{row['shard']}: {row['sample']}"
         try:
             geometry, labels, bank = (
                 decode_arrays(
@@ -149,11 +143,11 @@ class TrainingSet(Dataset[dict[str, Any]]):
 
     def data(self, index: int) -> bytes:
         """Read the bytes of a sample: its members as a part of a tar file."""
-        shard, offset, length = self._places[index]
-        data = self._read(shard, offset, offset + length)
-        if len(data) != length:
-            reason = f"it has {len(data)} of the {length} bytes from {offset} on"
-            raise SpecError(f"{self.folder}/{shard}: is damaged ({reason}); {REPAIR}")
+        row = self.rows.slice(index, 1).to_pylist()[0]
+        data = self._read(row["shard"], row["offset"], row["offset"] + row["bytes"])
+        if len(data) != row["bytes"]:
+            reason = f"it has {len(data)} of the {row['bytes']} bytes from {row['offset']} on"
+            raise SpecError(f"{self.folder}/{row['shard']}: is damaged ({reason}); {REPAIR}")
         return data
 
     def members(self, index: int) -> dict[str, bytes]:
@@ -161,7 +155,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         try:
             return unpack(self.data(index))
         except ValueError as error:
-            shard = self._places[index][0]
+            shard = self.rows["shard"][index]
             raise SpecError(f"{self.folder}/{shard}: is damaged ({error}); {REPAIR}") from None
 
     def _read(self, name: str, start: int | None = None, end: int | None = None) -> bytes:
@@ -178,11 +172,12 @@ class TrainingSet(Dataset[dict[str, Any]]):
 def _images(members: Mapping[str, bytes], role: str) -> torch.Tensor:
     """Decode the images of a role in the order of their numbers, uint8 [V, 3, H, W]."""
     pixels: list[np.ndarray] = []
-    while data := next(
-        (members[n] for e in IMAGE_SUFFIXES if (n := f"{role}_{len(pixels)}.{e}") in members), None
+    while suffix := next(
+        (s for s in (".jpg", ".png") if f"{role}_{len(pixels)}{s}" in members), ""
     ):
-        with opened(io.BytesIO(data)) as image:
-            pixels.append(rgb(image, f"{role}_{len(pixels)}"))
+        name = f"{role}_{len(pixels)}"
+        with opened(io.BytesIO(members[name + suffix])) as image:
+            pixels.append(rgb(image, name))
     return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
 
 

@@ -130,28 +130,28 @@ def read_geometry(file: Path) -> GeometryFile:
         raise InputError(
             f"{file}: holds no depth; expected one of {', '.join(ARRAY_NAMES['depth'])}"
         )
-    depth = _stacked(file, "depth", arrays["depth"])
+    depth = _stack_maps(file, "depth", arrays["depth"])
     count, height, width = depth.shape
     confidence = matrices = poses = names = None
     if "confidence" in arrays:
-        confidence = _stacked(file, "confidence", arrays["confidence"]).astype(np.float32)
+        confidence = _stack_maps(file, "confidence", arrays["confidence"]).astype(np.float32)
         if confidence.shape != depth.shape:
             raise InputError(
                 f"{file}: confidence is {confidence.shape}, expected {depth.shape} as depth"
             )
     if "K" in arrays:
-        matrices = _shaped(file, "intrinsics", arrays["K"], count, (3, 3))
+        matrices = _check_matrices(file, "intrinsics", arrays["K"], count, (3, 3))
     elif "focal" in arrays:
         focals = arrays["focal"].reshape(-1).astype(np.float64)
         focals = np.broadcast_to(focals, count) if len(focals) == 1 else focals
         matrices = np.array([[[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]] for f in focals])
-        matrices = _shaped(file, "focals", matrices, count, (3, 3))
+        matrices = _check_matrices(file, "focals", matrices, count, (3, 3))
     inverted = "w2c" in arrays
     if (stored := arrays.get("w2c", arrays.get("c2w"))) is not None:
         if stored.shape[-2:] == (3, 4):
             last = np.broadcast_to([0.0, 0, 0, 1], (*stored.shape[:-2], 1, 4))
             stored = np.concatenate([stored, last], -2)
-        poses = _shaped(file, "poses", stored, count, (4, 4))
+        poses = _check_matrices(file, "poses", stored, count, (4, 4))
     if "names" in arrays:
         names = [str(name) for name in arrays["names"].reshape(-1)]
         if len(names) != count:
@@ -264,7 +264,7 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
         raise unreadable(file, problem, DEPTH_ADVICE) from None
 
 
-def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:
+def _stack_maps(file: Path, name: str, values: np.ndarray) -> np.ndarray:
     """Return maps [N, h, w] without the leading and trailing axes of length 1."""
     if values.ndim == 5:  # [1, N, h, w, 1] in VGGT
         values = values[0]
@@ -276,7 +276,7 @@ def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:
     return values
 
 
-def _shaped(
+def _check_matrices(
     file: Path, name: str, values: np.ndarray, count: int, shape: tuple[int, int]
 ) -> np.ndarray:
     """Return matrices float64 [count, *shape]; InputError for another shape or type."""

@@ -98,7 +98,7 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     }
     integers = {"source": arrays["source"]}
     if labels is not None:
-        integers["label"] = _checked(labels, n)
+        integers["label"] = _check_labels(labels, n)
     kinds = dict.fromkeys(columns, "<f4")
     for name, values in integers.items():
         kinds[name] = "<f4" if np.array_equal(values.astype("<f4"), values) else "<i4"
@@ -142,7 +142,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; expected "
             "plain 3D Gaussian splatting, not compressed, 2D Gaussians, points or a mesh"
         )
-    rest, semantic = _numbered(names, "f_rest_"), _numbered(names, "f_sem_")
+    rest, semantic = _consecutive_names(names, "f_rest_"), _consecutive_names(names, "f_sem_")
     if len(rest) not in REST_COUNTS:
         raise InputError(
             f"{path}: has {len(rest)} properties f_rest_*, expected one of "
@@ -248,7 +248,7 @@ def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
     return data["vertex"].data, [*data.comments, *data.obj_info, *data["vertex"].comments]
 
 
-def _numbered(names: Sequence[str], prefix: str) -> list[str]:
+def _consecutive_names(names: Sequence[str], prefix: str) -> list[str]:
     """Return the names ``prefix`` + 0, 1, ... up to the first gap."""
     return list(takewhile(set(names).__contains__, (f"{prefix}{i}" for i in range(len(names)))))
 
@@ -264,7 +264,7 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
-def _checked(labels: np.ndarray, n: int) -> np.ndarray:
+def _check_labels(labels: np.ndarray, n: int) -> np.ndarray:
     labels = np.asarray(labels)
     if labels.shape != (n,) or labels.dtype.kind not in "iu":
         raise InputError(

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from slgaussian.benchmark.reports.text_table import table_text
-from slgaussian.storage.encoding import decode_table
+from slgaussian.storage.encoding import load_table
 from slgaussian.storage.records import FOLDER, NotStoredError, OutdatedError, Records
-from slgaussian.storage.specs import load_spec
 
 GAPS = {NotStoredError.__name__: "missing", OutdatedError.__name__: "outdated"}
 """State of the first stage of a scene without a result, by the error of the look-up; by another
@@ -53,7 +52,9 @@ def summarise(
     Raises:
         SpecError: If the table is damaged.
     """
-    reported = _reasons(failures)
+    table = load_table(failures, "failures", "run it again") if failures.is_file() else None
+    rows = [] if table is None else table.to_pylist()
+    reported = {(row["scene"], row["stage"]): row["reason"] for row in rows}
     counts, versions = defaultdict[str, Counter[str]](Counter), dict[str, int]()
     gaps, scenes, unknown = [], 0, []
     for results, stages in groups:
@@ -85,14 +86,6 @@ def summarise(
     counted = {"total": scenes, "complete": scenes - len(gaps), "workers": workers}
     times = {"seconds": total.tolist(), "unknown": unknown}
     return {**counted, **times, "stages": stage_rows, "gaps": gaps}
-
-
-def _reasons(file: Path) -> dict[tuple[str, str], str]:
-    """Read the reasons in a table of spec ``failures``, by scene and stage."""
-    if not file.is_file():
-        return {}
-    table = decode_table(file.read_bytes(), load_spec("failures"), str(file), "run it again")
-    return {(row["scene"], row["stage"]): row["reason"] for row in table.to_pylist()}
 
 
 def _seconds(records: Records, stage: str, version: int) -> list[float] | None:

@@ -13,11 +13,13 @@ import json
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slgaussian.formats import strict_json
+from slgaussian.io import write_atomic
 from slgaussian.storage.provenance import provenance_metadata, with_provenance
 from slgaussian.storage.specs import METADATA_FILE, Spec, load_spec, mismatch
 from slgaussian.storage.tables import MAX_UNPACKED_BYTES, read_table
@@ -114,6 +116,27 @@ def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
     return buffer.getvalue()
 
 
+def decode_artifact(
+    data: bytes, spec: Spec, file: str, repair: str = REPAIR
+) -> tuple[str, Arrays | pa.Table]:
+    """Return the digest and the content of an artifact; SpecError as in :func:`decode_table`."""
+    if spec.columns:
+        table = decode_table(data, spec, file, repair)
+        return table_digest(table), table
+    arrays = decode_arrays(data, spec, file, repair)
+    return arrays_digest(arrays), arrays
+
+
+def save_table(file: Path, table: pa.Table, spec: str) -> None:
+    """Write a table to a local file as :func:`encode_table`; OSError if that fails."""
+    write_atomic(file, encode_table(table, load_spec(spec)))
+
+
+def load_table(file: Path, spec: str, repair: str) -> pa.Table:
+    """Read a local file as :func:`decode_table`; OSError if it cannot be read."""
+    return decode_table(file.read_bytes(), load_spec(spec), str(file), repair)
+
+
 def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa.Table:
     """Read a table of :func:`encode_table`.
 
@@ -121,7 +144,7 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
         SpecError: If the bytes are damaged or truncated, have another spec or version of it, or
             break ``spec``. The message names ``file`` and gives the advice ``repair``.
     """
-    with _whole(data, file, spec, repair):
+    with _explain_damage(data, file, spec, repair):
         table = read_table(data)
         table.validate(full=True)
         label = (table.schema.metadata or {}).get(b"spec", b"").decode() or None
@@ -132,7 +155,7 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
 
 def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
     """Read arrays of :func:`encode_arrays`; SpecError as in :func:`decode_table`."""
-    with _whole(data, file, spec, repair):
+    with _explain_damage(data, file, spec, repair):
         arrays, metadata = decode_npz(data)
     spec.check_label(metadata.get("spec"), file, repair)
     spec.check_arrays(arrays, file)
@@ -175,7 +198,7 @@ def read_metadata(data: bytes) -> dict[str, Any]:
 
 
 @contextmanager
-def _whole(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
+def _explain_damage(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # a damaged file raises almost anything

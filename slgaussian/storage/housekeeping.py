@@ -67,7 +67,7 @@ def collect(
             if delete:
                 store.remove([record.file.uri])
         else:
-            referred.update(map(_name, record.named))
+            referred.update(map(_name, record.uris))
     for files in store.walk():
         gone = []
         for file in files:

@@ -126,10 +126,8 @@ def _describe(file: str, data: bytes) -> dict[str, Any]:
         refusal = mismatch(file, "spec", f"{label!r:.80}", f"one of {', '.join(spec_names())}")
         raise refusal if label or is_artifact else InputError(str(refusal))
     spec = load_spec(name)
-    if path.suffix == ".npz":
-        digest = encoding.arrays_digest(encoding.decode_arrays(data, spec, file, REPAIR))
-    elif path.suffix == ".parquet":
-        digest = encoding.table_digest(encoding.decode_table(data, spec, file, REPAIR))
+    if path.suffix in (".npz", ".parquet"):
+        digest, _ = encoding.decode_artifact(data, spec, file, REPAIR)
     else:
         keys = ("made_by", "slgaussian", "command", "settings")
         origin = {key: metadata[key] for key in keys if key in metadata}

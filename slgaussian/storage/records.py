@@ -40,7 +40,7 @@ class Record:
     ref: ArtifactRef | None
 
     @property
-    def named(self) -> list[str]:
+    def uris(self) -> list[str]:
         """Paths of the artifact and of its parts."""
         return [] if self.ref is None else self.ref.uris
 
@@ -87,7 +87,7 @@ class Records:
     def all(self, folder: str = FOLDER) -> Iterator[list[Record]]:
         """Yield all records below a folder, one list for each folder."""
 
-        def record_of(file: File) -> Record:
+        def read_record(file: File) -> Record:
             match = _FILE.fullmatch(file.uri)
             assert match is not None  # filtered below
             try:
@@ -97,7 +97,7 @@ class Records:
             return Record(file, match["stage"], int(match["version"]), ref)
 
         for files in self.store.walk([folder]):
-            yield self.store.map(record_of, [f for f in files if _FILE.fullmatch(f.uri)])
+            yield self.store.map(read_record, [f for f in files if _FILE.fullmatch(f.uri)])
 
     def _stamps(self, ref: ArtifactRef) -> list[str] | None:
         """Return the stamps of the file and of its parts; None if a stamp is missing."""
@@ -115,7 +115,9 @@ class Records:
                 ref = ArtifactRef(**fields)
                 is_valid = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
                 # A forged record must not point outside the store.
-                is_valid = is_valid and is_digest(ref.digest) and all(map(_is_below, ref.uris))
+                is_valid = is_valid and is_digest(ref.digest)
+                for path in ref.uris:
+                    is_valid = is_valid and path[:1] != "/" and ".." not in path.split("/")
             except (ValueError, TypeError, AttributeError):
                 is_valid = False
             if not is_valid:
@@ -128,7 +130,3 @@ class Records:
 def _place(key: str) -> str:
     stage, version, digest = key.split("/")
     return f"{FOLDER}/{stage}/{version}/{digest[:2]}/{digest}.json"
-
-
-def _is_below(uri: str) -> bool:
-    return not uri.startswith("/") and ".." not in uri.split("/")

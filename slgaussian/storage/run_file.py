@@ -41,7 +41,7 @@ class SceneInputs(Config):
         cameras = photographs["cameras"] if files else ""
         return SceneInputs(cameras=cameras, files=files, labels=labels)
 
-    def named(self) -> dict[str, str]:
+    def by_name(self) -> dict[str, str]:
         """Return all digests by kind and name; empty for a scene without files."""
         named = {"cameras": self.cameras} if self.cameras else {}
         named |= {f"photograph {name}": digest for name, digest in self.files.items()}
@@ -82,8 +82,8 @@ class Inputs(Config):
         count, unknown = 0, list[str]()
         pairs = [("weights", self.weights, present.weights)]
         for scene, inputs in present.scenes.items():
-            recorded = self.scenes.get(scene, SceneInputs()).named()
-            pairs.append((f"scene {scene!r}", recorded, inputs.named()))
+            recorded = self.scenes.get(scene, SceneInputs()).by_name()
+            pairs.append((f"scene {scene!r}", recorded, inputs.by_name()))
             unknown += [] if recorded else [scene]
         for what, recorded, actual in pairs:
             if recorded and (names := _differing(recorded, actual)):

@@ -26,12 +26,9 @@ from slgaussian.io import write_atomic
 from slgaussian.storage.encoding import (
     REPAIR,
     Arrays,
-    arrays_digest,
-    decode_arrays,
-    decode_table,
+    decode_artifact,
     encode_artifact,
     read_metadata,
-    table_digest,
 )
 from slgaussian.storage.local_copies import LocalCache
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
@@ -179,20 +176,13 @@ class ArtifactStore:
 
     def decode(self, ref: ArtifactRef, data: bytes) -> Arrays | pa.Table:
         """Decode the bytes of an artifact; DamagedError if its spec or digest do not match."""
-        rules, file = load_spec(ref.spec), f"{self.root}/{ref.uri}"
-        content: Arrays | pa.Table
         try:
-            if rules.columns:
-                content = decode_table(data, rules, file)
-                digest = table_digest(content)
-            else:
-                content = decode_arrays(data, rules, file)
-                digest = arrays_digest(content)
+            digest, content = decode_artifact(data, load_spec(ref.spec), f"{self.root}/{ref.uri}")
         except SpecError as error:
             raise DamagedError(str(error), ref.uri) from error
         if digest != ref.digest:
             actual, expected = f"content {digest[:12]}", f"{ref.digest[:12]}; {REPAIR}"
-            raise self._damaged(ref.uri, actual, expected, "digest")
+            raise self._damage(ref.uri, actual, expected, "digest")
         return content
 
     def read(self, uri: str, expected: str = "a file") -> bytes:
@@ -205,9 +195,9 @@ class ArtifactStore:
                 "read", lambda: self.fs.cat_file(f"{self.path}/{uri}", **whole), passed
             )
         except FileNotFoundError as error:
-            raise self._damaged(uri, "nothing", expected) from error
+            raise self._damage(uri, "nothing", expected) from error
         except OSError as error:
-            raise self._damaged(uri, explain_error(error), "a readable file") from error
+            raise self._damage(uri, explain_error(error), "a readable file") from error
 
     def fetch(
         self, uri: str, expected: str, decode: Callable[[bytes], Result]
@@ -217,14 +207,12 @@ class ArtifactStore:
         If ``decode`` raises SpecError, a file of a remote store is read again, because the
         transfer may have been truncated. SpecError of the last attempt, or of :meth:`read`.
         """
-        for left in reversed(range(1 if self.near else READ_ATTEMPTS)):
+        for _ in range(0 if self.near else READ_ATTEMPTS - 1):
             data = self.read(uri, expected)
-            try:
+            with suppress(SpecError):
                 return data, decode(data)
-            except SpecError:
-                if not left:
-                    raise
-        raise AssertionError  # the last reading has raised
+        data = self.read(uri, expected)
+        return data, decode(data)
 
     def link_or_copy(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> None:
         """Create a local file of an artifact: a hard link if possible, else a copy.
@@ -254,11 +242,10 @@ class ArtifactStore:
         with suppress(OSError):
             if self.local and os.path.samefile(f"{self.path}/{ref.uri}", path):
                 return True
-        try:
+        with suppress(OSError, DamagedError):
             self.decode(ref, Path(path).read_bytes())
-        except (OSError, DamagedError):
-            return False
-        return True
+            return True
+        return False
 
     def check(self, ref: ArtifactRef) -> None:
         """Raise :class:`DamagedError` if the artifact or one of its parts is missing or damaged.
@@ -274,7 +261,7 @@ class ArtifactStore:
         for uri in ref.uris:
             part = ref_of(uri)
             if part is None:
-                raise self._damaged(uri, "another path", "that of an artifact")
+                raise self._damage(uri, "another path", "that of an artifact")
             self.get(part)
 
     def stamp(self, uri: str) -> str | None:
@@ -288,7 +275,7 @@ class ArtifactStore:
     def check_exists(self, uri: str) -> None:
         """Raise :class:`DamagedError` if there is no file at a path relative to the root."""
         if not self._ask("read", lambda: self.fs.exists(f"{self.path}/{uri}")):
-            raise self._damaged(uri, "nothing", "an artifact")
+            raise self._damage(uri, "nothing", "an artifact")
 
     def check_writable(self) -> None:
         """Raise :class:`StoreError` if the store cannot be written; call it before the work."""
@@ -406,9 +393,9 @@ class ArtifactStore:
 
     def _check_address(self, ref: ArtifactRef) -> None:
         if not is_digest(ref.digest) or ref.uri != address(ref.spec, ref.digest):
-            raise self._damaged(ref.uri, f"digest {ref.digest!r:.80}", "that of the path")
+            raise self._damage(ref.uri, f"digest {ref.digest!r:.80}", "that of the path")
 
-    def _damaged(self, uri: str, actual: str, expected: str, field: str = "file") -> DamagedError:
+    def _damage(self, uri: str, actual: str, expected: str, field: str = "file") -> DamagedError:
         return DamagedError(str(mismatch(f"{self.root}/{uri}", field, actual, expected)), uri)
 
 

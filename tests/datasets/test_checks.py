@@ -23,7 +23,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_geometry
 from slgaussian.masks.precomputed import Precomputed
 from slgaussian.predict.precomputed import find_maps
-from slgaussian.scene import Sample
+from slgaussian.scene import Camera, Sample, Scene
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
 from tasks.scene import Photographs
 
@@ -51,15 +51,15 @@ def write_label(file, name):
     file.write_text(json.dumps({"info": info, "objects": [labelled]}))
 
 
-def labels_of(root, view):
+def read_labels(root, view):
     return read_truth(root, ["cup"], [view]).masks[view.name]["cup"]
 
 
-def ids_of(root, view):
+def read_ids(root, view):
     return Precomputed(folder=root).propagate(SimpleNamespace(view=view))
 
 
-def depth_of(root, view):
+def read_depth(root, view):
     return find_maps(root, SimpleNamespace(scene="s", context=[view]))[0].depth
 
 
@@ -69,14 +69,14 @@ def write_ids(file, name):
 
 
 READ = {
-    "labels": (labels_of, write_label, ".json"),
-    "ids": (ids_of, write_ids, ".png"),
-    "depth": (depth_of, write_ids, ".png"),
+    "labels": (read_labels, write_label, ".json"),
+    "ids": (read_ids, write_ids, ".png"),
+    "depth": (read_depth, write_ids, ".png"),
 }
 
 
 @pytest.mark.parametrize("kind", READ)
-def test_companions_of_two_photographs_are_refused_and_nested_ones_read(tmp_path, kind):
+def test_readers_refuse_companion_of_two_photographs(tmp_path, kind):
     read, write, suffix = READ[kind]
     scene, folder = write_scene(tmp_path / "scene"), tmp_path / kind
     left, right, second = scene.views(STEREO, "original")
@@ -93,30 +93,30 @@ def test_companions_of_two_photographs_are_refused_and_nested_ones_read(tmp_path
         read(folder, right)
 
 
-def test_labels_drawn_on_the_other_photograph_are_refused(tmp_path):
+def test_read_truth_refuses_labels_of_another_photograph(tmp_path):
     left, right, _ = write_scene(tmp_path / "scene").views(STEREO, "original")
     for name, fits in ("0001.jpg", True), (r"left\0001.jpg", True), (right.name, False):
         write_label(tmp_path / "labels/left/0001.json", name)
         if fits:
-            assert labels_of(tmp_path / "labels", left).any()
+            assert read_labels(tmp_path / "labels", left).any()
             continue
         with pytest.raises(InputError, match=r"was drawn on 'right/0001\.jpg'"):
-            labels_of(tmp_path / "labels", left)
+            read_labels(tmp_path / "labels", left)
 
 
-def test_class_masks_of_two_photographs_are_refused(tmp_path):
+def test_read_truth_refuses_class_masks_of_two_photographs(tmp_path):
     left, _, second = write_scene(tmp_path / "scene").views(STEREO, "original")
     folder = tmp_path / "segmentations"
     for frame in "0001", "0002":
         (folder / frame).mkdir(parents=True)
         Image.new("L", (WIDTH, HEIGHT), 255).save(folder / frame / "cup.png")
     (folder / "classes.txt").write_text("cup")
-    assert labels_of(folder, second).all()
+    assert read_labels(folder, second).all()
     with pytest.raises(InputError, match="fits two"):
-        labels_of(folder, left)
+        read_labels(folder, left)
 
 
-def test_maps_of_an_npz_are_matched_by_path_or_refused(tmp_path):
+def test_geometry_file_matches_maps_by_path(tmp_path):
     def numbers(names, views, others=()):
         file, count = tmp_path / "maps.npz", len(names or views)
         arrays = {"depth": np.ones((count, 4, 6), np.float32)}
@@ -141,7 +141,7 @@ def test_maps_of_an_npz_are_matched_by_path_or_refused(tmp_path):
     assert len(numbers(None, sorted(f"{k}.jpg" for k in range(12)))) == 12
 
 
-def test_masks_of_other_programs_that_fit_two_frames_are_refused(tmp_path):
+def test_score_predictions_refuses_masks_that_fit_two_frames(tmp_path):
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[:9] = True
     frames = {name: {"cup": mask} for name in STEREO[:2]}
@@ -170,7 +170,7 @@ def test_masks_of_other_programs_that_fit_two_frames_are_refused(tmp_path):
     assert ious == [1.0, 0.0]
 
 
-def test_names_in_the_order_of_letters_are_put_in_natural_order(tmp_path):
+def test_order_naturally_sorts_only_names_in_the_order_of_letters(tmp_path):
     frames = [f"frame_{k}.jpg" for k in range(1, 13)]
     assert order_naturally(sorted(frames)) == frames
     assert order_naturally(frames[::-1]) == frames[::-1]  # somebody's intention
@@ -183,7 +183,7 @@ def test_names_in_the_order_of_letters_are_put_in_natural_order(tmp_path):
     assert list(unposed.named([tmp_path / name for name in frames[::-1]])) == frames[::-1]
 
 
-def test_a_photograph_named_twice_is_refused(tmp_path):
+def test_scene_refuses_two_names_of_one_photograph(tmp_path):
     write_pictures(tmp_path, ["a.jpg", "b.jpg"])
     for again in "./a.jpg", "a.jpg/", ".//a.jpg":
         with pytest.raises(InputError, match="name one photograph"):
@@ -222,3 +222,13 @@ def test_companions_are_ranked_by_their_paths(tmp_path):
     assert companion(tmp_path, "c.jpg", [".png"]) is None
     with pytest.raises(InputError, match="fits two photographs"):
         companion(tmp_path, "b.jpg", [".png"], ["b.png"])
+
+
+@pytest.mark.parametrize(
+    ("focal", "centre", "refusal"),
+    [(0.8, 48, "focal length x is 0.8"), (80, 0.5, r"principal point is \(0.5, 0.5\)")],
+)
+def test_scene_of_any_origin_refuses_implausible_cameras_by_view(focal, centre, refusal):
+    K = np.array([[focal, 0, centre], [0, focal, centre], [0, 0, 1]])
+    with pytest.raises(InputError, match=rf"^scene 'memory': 'a': {refusal}"):
+        Scene("memory", {"a": Camera(K, np.eye(4), WIDTH, HEIGHT)}, lambda name: None)

@@ -102,7 +102,7 @@ def test_image_is_black_beyond_the_fold_of_a_radial_polynomial(tmp_path):
 @pytest.mark.parametrize(
     ("model", "params"), [("EQUIRECTANGULAR", (WIDTH, HEIGHT)), ("FOV", (80, 80, 48, 32, 0.6))]
 )
-def test_camera_models_without_opencv_counterpart_are_refused(tmp_path, model, params):
+def test_read_refuses_camera_models_without_opencv_counterpart(tmp_path, model, params):
     write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: (model, params)})
     with pytest.raises(InputError, match=r"camera 1 is of model \w+, expected one"):
         colmap.read(tmp_path)
@@ -124,7 +124,7 @@ def test_photographs_are_read_by_name_and_shrunk_ones_scale_their_cameras(root):
 
 
 @pytest.mark.parametrize("kind", ["cameras", "images"])
-def test_damaged_binary_file_is_refused_by_name(root, kind):
+def test_read_error_names_damaged_binary_file(root, kind):
     file = root / f"sparse/0/{kind}.bin"
     data = file.read_bytes()
     ends = range(0, len(data), max(1, len(data) // 60))
@@ -150,7 +150,7 @@ def test_damaged_binary_file_is_refused_by_name(root, kind):
         ("images", "2 1 0 -0 0", "2 1 1 0 0", "is no unit quaternion"),
     ],
 )
-def test_inconsistent_text_model_is_refused(tmp_path, kind, old, new, refusal):
+def test_read_refuses_inconsistent_text_model(tmp_path, kind, old, new, refusal):
     write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS, text=True)
     file = tmp_path / f"sparse/0/{kind}.txt"
     text = file.read_text()
@@ -161,7 +161,7 @@ def test_inconsistent_text_model_is_refused(tmp_path, kind, old, new, refusal):
     assert refusal in str(error.value) and str(tmp_path / "sparse/0") in str(error.value)
 
 
-def test_folder_without_model_or_pose_is_refused(tmp_path):
+def test_read_refuses_folder_without_model_or_pose(tmp_path):
     with pytest.raises(InputError, match="has no COLMAP model; expected cameras and images"):
         load("colmap", tmp_path)
     write_model(tmp_path / "sparse/0", {}, CAMERAS)

@@ -31,7 +31,7 @@ SRGB_LIGHT = np.where(LEVEL <= 0.04045, LEVEL / 12.92, ((LEVEL + 0.055) / 1.055)
 COLOURS = np.random.default_rng(0).integers(40, 216, (24, 36, 3)).astype(np.uint8)
 
 
-def light_of(gamma: float | None) -> np.ndarray:
+def decode_levels(gamma: float | None) -> np.ndarray:
     return SRGB_LIGHT if gamma is None else LEVEL**gamma
 
 
@@ -72,7 +72,7 @@ def grey_profile(gamma: float) -> bytes:
 
 def right(name: str, gamma: float | None = None) -> np.ndarray:
     """Compute the colours in sRGB from the colorants alone, float [24, 36, 3]."""
-    light = light_of(gamma or GAMMAS[name])[COLOURS] @ np.array(COLORANTS[name])
+    light = decode_levels(gamma or GAMMAS[name])[COLOURS] @ np.array(COLORANTS[name])
     return encode(light @ np.linalg.inv(COLORANTS["srgb"]))
 
 
@@ -95,7 +95,7 @@ P3_PRIMARIES = (0.3127, 0.329, 0.68, 0.32, 0.265, 0.69, 0.15, 0.06)
 GREY = np.repeat(COLOURS[..., :1], 3, axis=-1)
 
 
-def saved(file: Path, pixels=COLOURS, mode=None, **how) -> Path:
+def save(file: Path, pixels=COLOURS, mode=None, **how) -> Path:
     Image.fromarray(pixels, mode).save(file, **how)
     return file
 
@@ -119,7 +119,7 @@ SAVED = {
 @pytest.mark.parametrize("kind", SAVED)
 def test_colours_become_srgb_at_every_entry(tmp_path, kind):
     name, how, expected = SAVED[kind]
-    file = saved(tmp_path / name, **how)
+    file = save(tmp_path / name, **how)
     pixels, _ = open_photograph(file)
     error = np.abs(pixels - expected)
     assert error.mean() < 1 and (name == "c.jpg" or error.max() <= 1)  # JPEG itself is inexact
@@ -136,22 +136,22 @@ def test_colours_become_srgb_at_every_entry(tmp_path, kind):
 
 
 def test_grey_palettes_and_transparent_colours_follow_their_profile(tmp_path):
-    expected = encode(light_of(1.8)[GREY])
+    expected = encode(decode_levels(1.8)[GREY])
     for file in (
-        saved(tmp_path / "8.png", GREY[..., 0], icc_profile=grey_profile(1.8)),
-        saved(tmp_path / "16.png", GREY[..., 0] * np.uint16(257), icc_profile=grey_profile(1.8)),
+        save(tmp_path / "8.png", GREY[..., 0], icc_profile=grey_profile(1.8)),
+        save(tmp_path / "16.png", GREY[..., 0] * np.uint16(257), icc_profile=grey_profile(1.8)),
     ):
         assert np.abs(open_photograph(file)[0] - expected).max() <= 1
     few = Image.fromarray(COLOURS // 64 * 64).quantize(64)
     few.save(tmp_path / "p.png", icc_profile=ADOBE)
-    expected = light_of(GAMMAS["adobe"])[np.asarray(few.convert("RGB"))] @ np.array(
+    expected = decode_levels(GAMMAS["adobe"])[np.asarray(few.convert("RGB"))] @ np.array(
         COLORANTS["adobe"]
     )
     expected = encode(expected @ np.linalg.inv(COLORANTS["srgb"]))
     assert np.abs(open_photograph(tmp_path / "p.png")[0] - expected).max() <= 1
     alpha = np.full((24, 36), 255, np.uint8)
     alpha[:, :9] = 0
-    file = saved(tmp_path / "a.png", np.dstack([COLOURS, alpha]), icc_profile=P3)
+    file = save(tmp_path / "a.png", np.dstack([COLOURS, alpha]), icc_profile=P3)
     pixels, opaque = open_photograph(file)
     assert np.abs(pixels - right("p3"))[:, 9:].max() <= 1 and not pixels[:, :9].any()
     assert np.array_equal(opaque, alpha == 255)
@@ -164,18 +164,18 @@ def test_exif_tells_adobe_rgb_unless_a_profile_says_otherwise(tmp_path, index, s
     tags = Image.Exif()
     tags.get_ifd(0x8769).update({0xA001: space, 0xA005: {1: index}})
     how = {"exif": tags, **EXACT}
-    plain = open_photograph(saved(tmp_path / "plain.jpg", **EXACT))[0]
-    pixels, _ = open_photograph(saved(tmp_path / "a.jpg", **how))
+    plain = open_photograph(save(tmp_path / "plain.jpg", **EXACT))[0]
+    pixels, _ = open_photograph(save(tmp_path / "a.jpg", **how))
     if is_adobe:
         assert np.abs(pixels - right("adobe")).mean() < 1 < np.abs(plain - right("adobe")).mean()
     else:
         assert np.array_equal(pixels, plain)
-    pixels, _ = open_photograph(saved(tmp_path / "b.jpg", icc_profile=rgb_profile("srgb"), **how))
+    pixels, _ = open_photograph(save(tmp_path / "b.jpg", icc_profile=rgb_profile("srgb"), **how))
     assert np.array_equal(pixels, plain)
 
 
 @pytest.mark.parametrize("bad", [b"no profile", P3[:300], grey_profile(1.8)])
-def test_a_profile_that_cannot_be_used_is_said(tmp_path, bad):
-    file = saved(tmp_path / "c.png", icc_profile=bad)
+def test_unusable_profile_gives_a_warning_and_srgb(tmp_path, bad):
+    file = save(tmp_path / "c.png", icc_profile=bad)
     with pytest.warns(UserWarning, match=r"c\.png: its colour profile cannot be used \(.*as sRGB"):
         assert np.array_equal(open_photograph(file)[0], COLOURS)

@@ -88,7 +88,7 @@ def test_large_photograph_is_shrunk_without_a_shift(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # Pillow warns of tags that it skips
-def test_damaged_header_is_ignored(tmp_path, pixels):
+def test_photograph_ignores_damaged_exif_header(tmp_path, pixels):
     tags = {TAGS.Make: "A"}, {FILM: 26, TAGS.LensModel: "x"}
     data = bytearray(write_photograph(tmp_path / "a.jpg", pixels, 6, *tags).read_bytes())
     start = data.index(b"Exif")

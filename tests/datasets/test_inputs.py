@@ -209,7 +209,7 @@ def test_cached_truth_equals_that_of_an_empty_store(tmp_path):
             file = root / "labels" / name / f"{category}.png"
             Image.fromarray(mask).save(file, compress_level=0)
 
-    def write_labelled(root):
+    def write_labels(root):
         write("nerfstudio", root)
         for name in REQUESTED:
             draw(root, name)
@@ -233,11 +233,11 @@ def test_cached_truth_equals_that_of_an_empty_store(tmp_path):
         labels = labels.of_views(sample.meta["targets"])
         return run_stage(truth, {"sample": sample, "labels": labels}, store)
 
-    check_cache(tmp_path, write_labelled, changes, read_truth)
+    check_cache(tmp_path, write_labels, changes, read_truth)
 
 
 @pytest.mark.parametrize("format", CAMERA_WRITERS)
-def test_inputs_list_every_opened_file_and_scenes_can_be_pickled(tmp_path, format):
+def test_inputs_list_every_opened_file_of_a_scene(tmp_path, format):
     write(format, tmp_path)
     opened, recording = set(), True
 
@@ -261,7 +261,7 @@ def test_inputs_list_every_opened_file_and_scenes_can_be_pickled(tmp_path, forma
             np.testing.assert_array_equal(restored.read(name).image, image)
 
 
-def test_data_changed_during_the_run_are_refused(tmp_path, monkeypatch):
+def test_ingest_refuses_data_changed_during_the_run(tmp_path, monkeypatch):
     root, store = tmp_path / "data", tmp_path / "store"
     write("nerfstudio", root)
     read = Photographs.read

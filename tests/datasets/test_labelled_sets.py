@@ -84,7 +84,7 @@ def test_masks_of_3d_ovs_keep_holes_and_count_only_white(bed):
         (lambda f: (f / "classes.txt").write_bytes(b"\xff\xfe\x00"), r"classes\.txt: cannot"),
     ],
 )
-def test_damaged_labels_are_refused_by_name(bed, change, refusal):
+def test_read_labels_error_names_damaged_file(bed, change, refusal):
     change(bed / "segmentations")
     with pytest.raises(InputError, match=refusal):
         read_labels(bed / "segmentations", "01.jpg", WIDTH, HEIGHT)

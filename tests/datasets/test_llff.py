@@ -54,7 +54,7 @@ def test_intrinsics_scale_with_shrunk_photographs(tmp_path):
         ([{}], "is no array of numbers"),  # NumPy pickles objects
     ],
 )
-def test_damaged_file_is_refused_by_name(tmp_path, rows, refusal):
+def test_read_error_names_damaged_poses(tmp_path, rows, refusal):
     write(tmp_path, rows, ["a.png", "b.png"])
     file = tmp_path / "poses_bounds.npy"
     if isinstance(rows, bytes):

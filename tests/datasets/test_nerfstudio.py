@@ -29,7 +29,7 @@ def write(root: Path, frames: list, images=("a.png",), **top) -> Path:
     return file
 
 
-def test_sizes_default_to_photographs_and_suffixes_are_found(tmp_path):
+def test_read_takes_missing_sizes_and_suffixes_from_photographs(tmp_path):
     frames = [frame("./a"), frame("b.png")]
     scene = nerfstudio.read(write(tmp_path, frames, ("a.WebP", "b.png"), w=None, cy=None))
     for camera in scene.cameras.values():
@@ -82,14 +82,6 @@ def test_distortion_of_a_frame_replaces_that_of_the_file(tmp_path):
     assert (images[0] == images[1]).all() and (images[1] == images[2]).all()
 
 
-def test_pixels_of_the_file_are_refused_for_a_frame_of_another_size(tmp_path):
-    file = write(tmp_path, [frame("a.png", w=48, h=32, cx=24, cy=16)])
-    with pytest.raises(
-        InputError, match="has 48x32 pixels, but fl_x, fl_y of the file are for 96x"
-    ):
-        nerfstudio.read(file)
-
-
 def read_depth(tmp_path, values, **top) -> np.ndarray | None:
     name = {"u2": "d.png", "f4": "d.tiff"}.get(values.dtype.str[1:], "d.npy")
     if name == "d.npy":
@@ -118,6 +110,8 @@ def test_depth_is_resampled_at_pixel_centres_and_undistorted_without_new_values(
         y, x = np.mgrid[:height, :width] + 0.5
         return 1 / (0.3 + 0.2 * x / width + 0.1 * y / height)
 
+    with pytest.raises(InputError, match=r"d\.npy: is 64x96, of another shape than its"):
+        read_depth(tmp_path, np.ones((WIDTH, HEIGHT)))
     depth = read_depth(tmp_path, plane(HEIGHT // 2, WIDTH // 2), depth_unit_scale_factor=1)
     np.testing.assert_allclose(depth, plane(HEIGHT, WIDTH), rtol=1e-6)
     step = np.full((HEIGHT, WIDTH), 2000, np.uint16)
@@ -125,12 +119,7 @@ def test_depth_is_resampled_at_pixel_centres_and_undistorted_without_new_values(
     assert set(np.unique(read_depth(tmp_path, step, k1=0.3))) == {0, 2, 5}
 
 
-def test_depth_of_wrong_shape_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"d\.npy: is 64x96, of another shape than its"):
-        read_depth(tmp_path, np.ones((WIDTH, HEIGHT)))
-
-
-def test_depth_that_cannot_be_read_is_said_and_leaves_the_photograph(tmp_path):
+def test_unreadable_depth_gives_a_warning_and_a_view_without_depth(tmp_path):
     colours = r"d\.npy: is float64 \(64, 96, 3\), expected one .*; the view is read without depth"
     with pytest.warns(UserWarning, match=colours):
         assert read_depth(tmp_path, np.ones((HEIGHT, WIDTH, 3))) is None
@@ -146,7 +135,7 @@ def test_depth_that_cannot_be_read_is_said_and_leaves_the_photograph(tmp_path):
         assert "JPEG" not in str(e[0].message)
 
 
-def test_the_unit_that_a_png_states_is_followed_unless_the_file_states_one(tmp_path):
+def test_unit_of_a_png_applies_unless_the_file_states_one(tmp_path):
     depth = np.linspace(50, 90, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
     assert write_map(tmp_path / "d.png", depth) == 0.01
     for top in ({}, {"depth_unit_scale_factor": 0.01}):
@@ -155,7 +144,7 @@ def test_the_unit_that_a_png_states_is_followed_unless_the_file_states_one(tmp_p
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg"])
-def test_truncated_or_resized_photograph_is_refused_by_name(tmp_path, name):
+def test_view_error_names_truncated_or_resized_photograph(tmp_path, name):
     scene = nerfstudio.read(write(tmp_path, [frame(name)], (name,)))
     data = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(data[: len(data) // 2])
@@ -178,6 +167,7 @@ def test_truncated_or_resized_photograph_is_refused_by_name(tmp_path, name):
         ([frame("a.png", fl_x="wide")], {}, "fl_x is 'wide', expected a finite number"),
         ([frame("a.png", fl_x=-5)], {}, "focal lengths -5, -5 must be positive"),
         ([frame("a.png", w=90.5)], {}, "w and h are 90.5 and 64"),
+        ([frame("a.png", w=48, h=32, cx=24, cy=16)], {}, "48x32 pixels, but fl_x, fl_y of the"),
         ([frame("a.png")], {"fl_x": None, "fl_y": None}, "neither fl_x nor camera_angle_x"),
         ([frame("a.png")], {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' cannot be read"),
         ([frame("a.png")], {"is_fisheye": "false"}, "is_fisheye is 'false', expected true or"),
@@ -188,7 +178,7 @@ def test_truncated_or_resized_photograph_is_refused_by_name(tmp_path, name):
         ([frame("a.png", cx=0.49, cy=0.52)], {}, "principal point is (0.49, 0.52)"),
     ],
 )
-def test_invalid_file_is_refused_by_name(tmp_path, frames, top, refusal):
+def test_read_error_names_invalid_file(tmp_path, frames, top, refusal):
     file = write(tmp_path, frames, **top)
     with pytest.raises(InputError) as error:
         nerfstudio.read(file)
@@ -209,9 +199,7 @@ def test_invalid_file_is_refused_by_name(tmp_path, frames, top, refusal):
         ),
     ],
 )
-def test_contradicting_focal_keys_are_warned_of_and_the_first_is_used(
-    tmp_path, keys, contradiction
-):
+def test_contradicting_focal_keys_give_a_warning_and_the_first(tmp_path, keys, contradiction):
     frames = [frame("a.png"), frame("b.png")]
     first = {"fl_x": None, "fl_y": None, "camera_angle_x": 1.2} if "fl_x" in keys else {}
     K = nerfstudio.read(write(tmp_path, frames, **first)).cameras["a.png"].K
@@ -224,7 +212,7 @@ def test_contradicting_focal_keys_are_warned_of_and_the_first_is_used(
     assert all(message.startswith(f"{file}: {contradiction}") for message in messages)
 
 
-def test_fourth_radial_term_is_refused(tmp_path):
+def test_view_refuses_fourth_radial_term(tmp_path):
     scene = nerfstudio.read(write(tmp_path, [frame("a.png")], k4=0.1))
     with pytest.raises(InputError, match=r"frame 'a\.png': k4 is 0\.1"):
         scene.read("a.png")
@@ -252,7 +240,7 @@ def test_sensor_depths_of_real_frames_agree(real_data):
         ("depth_scale", 1000.0),
     ],
 )
-def test_unsupported_key_that_changes_the_image_is_refused(tmp_path, key, value):
+def test_read_refuses_unsupported_key_that_changes_the_image(tmp_path, key, value):
     for top, keys in (({key: value}, {}), ({}, {key: value})):
         with pytest.raises(InputError, match=rf"frame 'a\.png': {key} is "):
             nerfstudio.read(write(tmp_path, [frame("a.png", **keys)], **top))
@@ -293,7 +281,7 @@ def test_mask_has_the_effect_of_an_equal_alpha_channel(tmp_path, lens):
         ({"camera_path": [{"fov": 50}]}, "is no camera path of nerfstudio's"),
     ],
 )
-def test_unusable_camera_path_is_refused(tmp_path, change, refusal):
+def test_read_cameras_refuses_unusable_camera_path(tmp_path, change, refusal):
     camera = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50}
     content = {"render_width": 64, "render_height": 48, "camera_path": [camera]}
     (tmp_path / "path.json").write_text(json.dumps(content | change))

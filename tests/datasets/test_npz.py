@@ -47,14 +47,14 @@ def network_maps(
     return {"depth": np.array(depth), "intrinsics": np.array(intrinsics)}
 
 
-def stacked(room: list[View], name: str) -> np.ndarray:
+def stack(room: list[View], name: str) -> np.ndarray:
     return np.array([getattr(view.camera, name) for view in room])
 
 
 def layouts(room: list[View], name: str) -> tuple[str, dict[str, np.ndarray]]:
     """Return what the warning on reading a file says, "" for none, and the file's arrays."""
     maps = network_maps(room, 504, 378)
-    w2c, c2w = stacked(room, "w2c"), stacked(room, "c2w")
+    w2c, c2w = stack(room, "w2c"), stack(room, "c2w")
     vggt = {"depth": maps["depth"][None, ..., None], "intrinsic": maps["intrinsics"][None]}
     boxed = network_maps(room, 518, 518, cover=False)
     return {
@@ -63,7 +63,7 @@ def layouts(room: list[View], name: str) -> tuple[str, dict[str, np.ndarray]]:
         "letter-boxed": ("of padded", {**boxed, "extrinsics": w2c}),
         "inverted": ("camera-to-world in OpenCV's", {**maps, "extrinsics": c2w}),
         "opengl": ("in OpenGL's axes", {**maps, "poses": c2w @ FLIP_YZ}),
-        "stored": ("as of stored", {**maps, "extrinsics": w2c, "intrinsics": stacked(room, "K")}),
+        "stored": ("as of stored", {**maps, "extrinsics": w2c, "intrinsics": stack(room, "K")}),
     }[name]
 
 
@@ -90,7 +90,7 @@ def test_cameras_of_every_convention_equal_the_true_ones(layout, folder, room, t
 
 
 def test_names_assign_cameras_to_some_photographs_of_a_folder(folder, room, tmp_path):
-    arrays = {**network_maps(room, 504, 378), "poses": stacked(room, "c2w")}
+    arrays = {**network_maps(room, 504, 378), "poses": stack(room, "c2w")}
     arrays = {name: values[[2, 0]] for name, values in arrays.items()}
     np.savez(tmp_path / "a.npz", **arrays, names=["view_02.png", "view_00.png"])
     scene = datasets.load("npz", tmp_path / "a.npz", photographs=str(folder))
@@ -113,8 +113,8 @@ def test_names_assign_cameras_to_some_photographs_of_a_folder(folder, room, tmp_
     ],
     ids=["no poses", "poses swapped", "tiny focal length", "one pose of three", "zero poses"],
 )
-def test_cameras_that_fit_no_photographs_are_refused(folder, room, tmp_path, change, refusal):
-    arrays = {**network_maps(room, 504, 378), "poses": stacked(room, "c2w")}
+def test_load_refuses_cameras_that_fit_no_photographs(folder, room, tmp_path, change, refusal):
+    arrays = {**network_maps(room, 504, 378), "poses": stack(room, "c2w")}
     change(arrays)
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(InputError, match=refusal):

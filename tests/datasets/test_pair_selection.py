@@ -69,7 +69,7 @@ def test_chosen_pairs_keep_the_bounds_and_share_no_frame():
     )
 
 
-def test_overlaps_equal_those_of_a_plain_function():
+def test_overlaps_equal_a_plain_search():
     rng = np.random.default_rng(3)
     cameras = [camera(x, t, z) for x, t, z in rng.uniform((-1, -60, -5), (1, 60, 5), (9, 3))] + [
         camera(turn=180)
@@ -103,7 +103,7 @@ def test_schedule_has_the_highest_score_of_all_choices(spans):
     assert sum(pair.score for pair in scheduled) == pytest.approx(best)
 
 
-def test_clip_without_a_pair_is_refused_with_the_reason():
+def test_choose_explains_clip_without_a_pair():
     with pytest.raises(InputError, match=r"4 of its 4 views are sharp .* too few for a sample"):
         choose(walk(4), Bounds())
     still = walk(9, step=1e-3)

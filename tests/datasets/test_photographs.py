@@ -16,7 +16,7 @@ from slgaussian.datasets.photographs import find_file, photographs_in
 from slgaussian.errors import InputError
 
 
-def test_every_format_is_listed_and_other_files_are_named(tmp_path):
+def test_photographs_in_lists_every_format_and_warns_of_other_files(tmp_path):
     names = ["a.Jpg", "b.webp", "c.tif", "d.JPEG", "e.BMP", "f.TIFF", "g.pnm", "plant_mask.png"]
     write_pictures(tmp_path, names)
     for name in ("._a.jpg", ".DS_Store", "Thumbs.db", "x.cr2", "x.gif", "x.mp4", "x.txt", "x.avif"):
@@ -27,7 +27,7 @@ def test_every_format_is_listed_and_other_files_are_named(tmp_path):
         assert [path.name for path in photographs_in(tmp_path)] == names
 
 
-def test_suffix_is_found_whatever_its_case_and_format(tmp_path):
+def test_find_file_accepts_suffix_of_any_case_and_format(tmp_path):
     write_pictures(tmp_path, ["a.Jpg", "b.v2.webp", "c.png", "c.TIF"])
     for name, found in (("a", "a.Jpg"), ("a.png", "a.Jpg"), ("b.v2", "b.v2.webp"), ("d", None)):
         path = find_file(tmp_path / name)
@@ -37,7 +37,7 @@ def test_suffix_is_found_whatever_its_case_and_format(tmp_path):
 
 
 @pytest.mark.usefixtures("find_calls")
-def test_unreadable_and_tiny_photographs_of_a_folder_are_left_out_unless_named(tmp_path):
+def test_load_leaves_out_unreadable_and_tiny_photographs_of_a_folder(tmp_path):
     write_pictures(tmp_path, ["a.png", "b.jpg", "c.png"], 480, 320)
     write_pictures(tmp_path, ["tiny.png"], 60, 40)
     os.truncate(tmp_path / "b.jpg", 2000)
@@ -56,7 +56,7 @@ def test_unreadable_and_tiny_photographs_of_a_folder_are_left_out_unless_named(t
     ("place", "refusal"),
     [("walk.MP4", r"is a film; .* `ffmpeg -i .*walk\.MP4 -vf"), ("a.dng", "is a raw file")],
 )
-def test_film_or_raw_file_is_refused_with_what_to_do(tmp_path, place, refusal):
+def test_film_or_raw_file_error_says_what_to_do(tmp_path, place, refusal):
     (tmp_path / place).write_bytes(b"")
     for places in ([tmp_path / place], [tmp_path]):
         with pytest.raises(InputError, match=refusal):
@@ -97,7 +97,7 @@ VALID[10:50, 20:70] = True
     ],
 )
 @pytest.mark.usefixtures("find_calls")
-def test_mask_beside_a_photograph_is_read_by_every_reader(tmp_path, format, file, black, scale):
+def test_every_reader_applies_mask_beside_a_photograph(tmp_path, format, file, black, scale):
     write_scene(format, tmp_path)
     (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
     image = Image.fromarray((VALID ^ black) * np.uint8(255))
@@ -123,7 +123,7 @@ def test_mask_beside_a_photograph_is_read_by_every_reader(tmp_path, format, file
         (VALID * 1, VALID.mean(), None),
     ],
 )
-def test_mask_of_ids_is_passed_over_and_a_black_one_is_named(tmp_path, levels, opaque, warning):
+def test_view_ignores_mask_of_ids_and_warns_about_a_black_one(tmp_path, levels, opaque, warning):
     write_scene("llff", tmp_path)
     (tmp_path / "masks").mkdir()
     Image.fromarray(levels.astype(np.uint8)).save(tmp_path / "masks/b.png")
@@ -137,7 +137,7 @@ def test_mask_of_ids_is_passed_over_and_a_black_one_is_named(tmp_path, levels, o
     assert (view.opaque is None) if opaque is None else view.opaque.mean() == opaque
 
 
-def test_two_masks_of_a_photograph_are_refused_and_one_of_none_is_named(tmp_path):
+def test_load_refuses_two_masks_of_a_photograph(tmp_path):
     write_scene("llff", tmp_path)
     write_pictures(tmp_path, ["masks/c.png"])
     with pytest.warns(UserWarning, match="masks of 0 of 2 photographs are read"):

@@ -100,6 +100,6 @@ def test_objects_neither_intersect_nor_float(seed):
     ("argument", "value"),
     [("objects", 0), ("views", 1), ("height", 3), ("baseline", float("nan")), ("noise", -0.1)],
 )
-def test_argument_out_of_range_is_refused_by_name(argument, value):
+def test_read_error_names_argument_out_of_range(argument, value):
     with pytest.raises(InputError, match=f"procedural scene {argument}: found"):
         reader.read(**{argument: value})

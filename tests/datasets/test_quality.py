@@ -1,22 +1,14 @@
 """Measures of blur and exposure, and the choice of sharp keyframes."""
 
-import io
-
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from test_splits import jpeg
 
 from slgaussian import datasets
 from slgaussian.datasets.sharpness import blur, choose_keyframes, exposure, glance
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
-
-
-def jpeg(pixels: np.ndarray) -> bytes:
-    stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "JPEG", quality=95)
-    return stream.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +39,7 @@ def test_exposure_is_the_mean_and_the_clipped_share():
     assert exposure(np.full((4, 4), 128, np.uint8)) == (pytest.approx(0.502, abs=1e-3), 0)
 
 
-def test_undecodable_image_is_refused(photo):
+def test_glance_refuses_undecodable_image(photo):
     for data in (b"", b"no image", jpeg(photo)[:5000]):
         with pytest.raises(InputError, match="its JPEG cannot be decoded"):
             glance(data)

@@ -69,7 +69,7 @@ def test_added_clips_make_new_chunks_and_equal_clips_equal_bytes(rooms, split, t
     assert re10k.chunk_names(tmp_path) == ["000000.torch", "000001.torch"]
 
 
-def test_the_transparent_pixels_of_a_frame_come_back_and_add_nothing_to_other_clips(rooms):
+def test_transparent_pixels_survive_a_round_trip(rooms):
     opaque = np.random.default_rng(0).random((36, 64)) < 0.5
     hidden = {"view_00": opaque, "view_01": None, "view_02": np.zeros_like(opaque)}
 
@@ -112,7 +112,7 @@ def test_cameras_survive_a_round_trip(turn, place, focal, middle):
     np.testing.assert_allclose(restored.c2w, c2w, atol=1e-5)  # float32 of positions up to 10
 
 
-def test_truncated_or_malicious_chunk_is_refused(split, tmp_path):
+def test_read_chunk_refuses_truncated_or_malicious_file(split, tmp_path):
     class Evil:
         def __reduce__(self):
             return (tmp_path.joinpath("ran").touch, ())
@@ -127,7 +127,7 @@ def test_truncated_or_malicious_chunk_is_refused(split, tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_invalid_clip_in_a_chunk_is_refused(split, tmp_path):
+def test_read_chunk_refuses_invalid_clip(split, tmp_path):
     (entry,) = torch.load(split / "000001.torch", weights_only=True)
     for change in (
         {"key": 3},
@@ -159,7 +159,7 @@ def test_damaged_image_loses_only_its_own_view(split):
 
 
 @pytest.mark.parametrize(("column", "value"), [(6, 3.0), (9, np.nan), (0, -1.0)])
-def test_invalid_camera_is_refused_by_clip_and_frame(split, column, value):
+def test_scene_error_names_clip_and_frame_of_invalid_camera(split, column, value):
     clip = re10k.read_chunk(split / "000001.torch")[0]
     clip.cameras[1, column] = value
     with pytest.raises(InputError, match="clip 'room2', frame 1: "):

@@ -115,7 +115,7 @@ def test_photographs_of_a_model_may_lie_in_another_folder(folder, names, paths):
     ],
     ids=["nothing", "empty", "json", "text"],
 )
-def test_path_without_cameras_is_refused(tmp_path, make, refusal):
+def test_recognise_refuses_path_without_cameras(tmp_path, make, refusal):
     make(tmp_path / "x")
     with pytest.raises(InputError, match=r"expected transforms\.json") as error:
         recognise(tmp_path / "x")

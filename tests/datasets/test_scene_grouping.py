@@ -1,4 +1,4 @@
-"""Grouping of clips into places by names, videos, shared photographs and equal cameras."""
+"""Grouping of clips into places by names, videos and shared photographs."""
 
 import hashlib
 import itertools
@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.datasets.scene_grouping import POSE_COLUMNS, Membership, Places
+from slgaussian.datasets.scene_grouping import Membership, Places
 
 
 def digest(name) -> str:
@@ -18,17 +18,15 @@ def picture(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).integers(40, 200, 256).astype(np.uint8)
 
 
-def view(clip, name, grey=None, place=None, video="", pose=None):
+def view(clip, name, grey=None, place=None, video=""):
     """A row of spec ``views``; another name is another photograph."""
     grey = picture(int(digest(name)[:8], 16)) if grey is None else grey
-    values = pose if pose is not None else np.random.default_rng(len(name)).uniform(size=12)
     return {
         "clip": clip,
         "place": place,
         "video": video,
         "digest": digest(name),
         "signature": grey.astype(np.uint8).tobytes().hex(),
-        **dict(zip(POSE_COLUMNS, values, strict=True)),
     }
 
 
@@ -72,28 +70,6 @@ def test_near_copies_join_clips_by_their_signatures():
     assert {members[clip].place for clip in ("original", *tones)} == {"brighter"}
     assert members["contrast"].why == "near copy"
     assert [members[c].place for c in ("another", "black", "fade")] == ["another", "black", "fade"]
-
-
-def test_equal_cameras_join_clips_only_where_their_photographs_are_alike():
-    rng = np.random.default_rng(5)
-    poses, greys = rng.uniform(size=(3, 12)), [picture(seed) for seed in (1, 2, 3)]
-    noisy = [grey + rng.integers(-28, 29, 256) for grey in greys]
-    rows = [
-        view(clip, f"{clip}{k}", grey, pose=pose)
-        for clip, pictures, shift in (
-            ("first", greys, 0),
-            ("noisy", noisy, 0),
-            ("elsewhere", noisy, 1),
-            ("rig", [picture(seed) for seed in (7, 8, 9)], 0),
-        )
-        for k, (grey, pose) in enumerate(zip(pictures, poses + shift, strict=True))
-    ]
-    members = group(*[row for row in rows if row["clip"] != "elsewhere"])
-    assert members["noisy"] == Membership("first", "cameras", "first")
-    assert members["rig"] == Membership("rig")
-    assert group(*[row for row in rows if row["clip"] in ("first", "elsewhere")])[
-        "elsewhere"
-    ] == Membership("elsewhere")
 
 
 @given(st.permutations(range(6)), st.lists(st.sets(st.integers(0, 8)), min_size=6, max_size=6))

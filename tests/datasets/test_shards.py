@@ -34,6 +34,6 @@ def test_keys_are_plain_ascii_and_unique(first, second):
     assert key_of("office_walk-2") == "office_walk-2"
 
 
-def test_data_other_than_tar_are_refused():
+def test_unpack_refuses_data_other_than_tar():
     with pytest.raises(ValueError):
         unpack(b"no tar file at all" * 100)

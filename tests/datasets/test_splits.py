@@ -25,7 +25,7 @@ def assign(folder: Path, clips: dict[str, np.ndarray], winner: str = "test", sha
     return split
 
 
-def test_a_place_stays_on_its_side_while_a_corpus_and_its_share_grow(tmp_path):
+def test_assign_split_never_moves_a_place_as_the_corpus_grows(tmp_path):
     clips = {f"place{k}": picture(k) for k in (0, 1, 3, 5)}
     before = assign(tmp_path, clips).sides
     assert "test" in before.values()  # one is held out, though the hash of none says so
@@ -39,7 +39,7 @@ def test_a_place_stays_on_its_side_while_a_corpus_and_its_share_grow(tmp_path):
 
 
 @pytest.mark.parametrize("winner", ["test", "train"])
-def test_places_that_prove_to_be_one_are_left_out_on_one_side(tmp_path, winner):
+def test_assign_split_leaves_out_one_side_of_joined_places(tmp_path, winner):
     greys = {f"clip{k}": picture(k) for k in range(8)}
     sides = assign(tmp_path, greys, winner, 0.5).sides
     learnt = min(clip for clip, side in sides.items() if side == "train")
@@ -84,7 +84,7 @@ def jpeg(pixels: np.ndarray, quality: int = 95) -> bytes:
     return out.getvalue()
 
 
-def test_a_set_whose_pictures_are_on_both_sides_is_refused(tmp_path):
+def test_check_shards_refuses_pictures_on_both_sides(tmp_path):
     rng = np.random.default_rng(0)
     first, second = (
         np.kron(rng.integers(0, 255, (9, 12, 3)), np.ones((20, 20, 1))).astype(np.uint8)

@@ -50,7 +50,7 @@ def test_patterns_close_around_round_solids_without_a_seam(kind, pattern, cell, 
     assert red[0] != red[1] if edge else red[0] == red[1]
 
 
-def test_picture_is_upright_and_not_mirrored():
+def test_albedo_of_picture_is_upright_without_mirroring():
     material = Material(textures.PICTURE, (0, 0, 0), photo="astronaut")
     photos = textures.pack([material], np.random.default_rng(0)).photos
     photo = photos[textures.PHOTOS.index("astronaut")]

@@ -136,7 +136,7 @@ def test_images_in_memory_equal_those_of_files(tmp_path, pair):
     ],
 )
 @pytest.mark.usefixtures("find_calls")
-def test_unusable_photographs_are_refused_by_name(folder, files, refusal):
+def test_photographs_error_names_unusable_file(folder, files, refusal):
     (folder / "text.jpg").write_text("no picture")
     (folder / "empty").mkdir()
     with pytest.raises(InputError, match=refusal):

@@ -137,7 +137,6 @@ def test_a_set_that_leaks_is_refused_and_stays_as_it_was(corpus, tmp_path, slg, 
 
     # The plan is blind, the check is not.
     monkeypatch.setattr(scene_grouping, "find_copies", lambda *arguments: ())
-    monkeypatch.setattr(scene_grouping, "MIN_EQUAL_CAMERAS", 99)
     status, _, errors = slg("dataset", out, corpus / "rooms", corpus / "copies", *words)
     assert status == 2 and "so the split leaks and is not written; give" in errors
     assert files_below(out) == before

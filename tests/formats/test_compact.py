@@ -16,7 +16,7 @@ from slgaussian.scene import Camera
 from tests.formats.spz_reader import load_spz, unpack_quats
 
 
-def some(n: int = 500, degree: int = 0, seed: int = 0, spread: float = 1.0) -> Gaussians:
+def make_gaussians(n: int = 500, degree: int = 0, seed: int = 0, spread: float = 1.0) -> Gaussians:
     rng = np.random.default_rng(seed)
     sh = rng.normal(0, 0.15, (n, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-1.5, 1.5, (n, 3))
@@ -41,7 +41,7 @@ def angles(a: torch.Tensor, b: torch.Tensor) -> np.ndarray:
 
 @settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-1, 1, width=32)] * 4), min_size=1, max_size=20))
-def test_rotations_survive_32_bits(rows):
+def test_pack_quats_keeps_rotations_within_a_third_of_a_degree(rows):
     quats = np.array(rows, np.float32)
     quats[np.linalg.norm(quats, axis=1) < 1e-3] = (0, 0, 0, 1)
     restored = unpack_quats(pack_quats(quats))
@@ -52,8 +52,8 @@ def test_rotations_survive_32_bits(rows):
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_spz_reads_again(tmp_path, degree):
-    gaussians = some(degree=degree)
+def test_spz_round_trip_stays_within_its_precision(tmp_path, degree):
+    gaussians = make_gaussians(degree=degree)
     save_spz(gaussians, tmp_path / "a.spz")
     restored = load_spz(tmp_path / "a.spz")
     assert (gaussians.means - restored.means).abs().max() < 2e-6 * gaussians.means.abs().max()
@@ -68,7 +68,7 @@ def test_spz_reads_again(tmp_path, degree):
 
 def test_spz_turns_harmonics_with_the_axes(tmp_path):
     """Without the rotation, colours would be those of a mirrored direction."""
-    gaussians = some(20, degree=3, seed=3)
+    gaussians = make_gaussians(20, degree=3, seed=3)
     save_spz(gaussians, tmp_path / "a.spz")
     restored = load_spz(tmp_path / "a.spz")
     cam = Camera(np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(4), 64, 48)
@@ -80,11 +80,11 @@ def test_spz_turns_harmonics_with_the_axes(tmp_path):
     assert (signs[:, :2] <= 0).all() and (signs[:, 2] >= 0).all()
 
 
-def test_nothing_is_written_of_what_makes_no_sense(tmp_path):
-    gaussians = some(5)
+def test_save_spz_writes_nothing_for_invalid_gaussians(tmp_path):
+    gaussians = make_gaussians(5)
     gaussians.means[2, 1] = torch.nan
     with pytest.raises(InputError, match="NaN"):
         save_spz(gaussians, tmp_path / "a.bin")
     with pytest.raises(InputError, match="cannot be written"):
-        save_spz(some(5), tmp_path / "nowhere" / "a.bin")
+        save_spz(make_gaussians(5), tmp_path / "nowhere" / "a.bin")
     assert list(tmp_path.iterdir()) == []

@@ -65,7 +65,7 @@ IMAGES = {
 
 @pytest.mark.parametrize("least", [128, 255])
 @pytest.mark.parametrize("kind", IMAGES)
-def test_a_mask_is_read_from_whatever_carries_it(tmp_path, kind, least):
+def test_read_mask_accepts_every_mode_and_range(tmp_path, kind, least):
     file = tmp_path / f"m.{'tiff' if kind.startswith(('F', 'I,')) else 'png'}"
     IMAGES[kind].save(file)
     assert np.array_equal(read_mask(file, least), SET)
@@ -83,7 +83,7 @@ def test_soft_edges_keep_their_levels_in_8_and_16_bits(tmp_path, dtype):
     "empty",
     [layers(0, 0, 0, 0), layers(255, 255, 255, 0), levels(0, dtype=np.uint16), levels(0)],
 )
-def test_an_empty_mask_is_said(tmp_path, empty):
+def test_read_mask_warns_about_an_empty_mask(tmp_path, empty):
     Image.fromarray(empty).save(tmp_path / "m.png")
     with pytest.warns(UserWarning, match=r"m\.png: the mask is empty, all of its pixels are 0"):
         assert not read_mask(tmp_path / "m.png").any()
@@ -105,13 +105,13 @@ def test_an_empty_mask_is_said(tmp_path, empty):
         (levels(np.nan, dtype=np.float32), "values from nan to nan"),
     ],
 )
-def test_values_that_are_no_clear_mask_are_refused_with_them(tmp_path, values, message):
+def test_read_mask_refuses_values_of_unclear_range(tmp_path, values, message):
     Image.fromarray(values).save(tmp_path / "m.tiff")
     with pytest.raises(InputError, match=rf"m\.tiff: cannot be read \(.*{message}"):
         read_mask(tmp_path / "m.tiff")
 
 
-def test_levels_below_the_threshold_and_16_bits_of_colour_are_refused(tmp_path):
+def test_read_mask_refuses_low_levels_and_colours_of_16_bits(tmp_path):
     Image.fromarray(levels(200)).save(tmp_path / "m.png")
     with pytest.raises(InputError, match=r"m\.png: its brightest pixel is 200, expected 255 where"):
         read_mask(tmp_path / "m.png", 255)

@@ -13,7 +13,7 @@ EPS = 2.0**-24
 """Relative round-off of float32."""
 
 
-def some(n=50, count=16, seed=0, **given) -> Gaussians:
+def make_gaussians(n=50, count=16, seed=0, **given) -> Gaussians:
     g = torch.Generator().manual_seed(seed)
     quats = torch.randn(n, 4, generator=g)
     parts = {
@@ -48,7 +48,7 @@ def write(path, data, kind="f4", text=False, order="<"):
 @pytest.mark.parametrize(("count", "width"), [(1, 0), (4, 4), (16, 4)])
 def test_gaussians_round_trip(tmp_path, count, width):
     features = torch.rand(50, width) if width else None
-    original = some(count=count, features=features)
+    original = make_gaussians(count=count, features=features)
     labels = np.arange(50) % 7
     save_ply(original, tmp_path / "a.ply", labels)
     restored, extra = load_ply(tmp_path / "a.ply")
@@ -70,17 +70,19 @@ def test_gaussians_round_trip(tmp_path, count, width):
     assert extra.keys() == {"label"}
 
 
-def test_opacity_and_scale_at_their_ends_survive(tmp_path):
+def test_ply_round_trip_keeps_extreme_opacities_and_scales(tmp_path):
     ends = torch.tensor([0, 1.5e-45, 1e-30, 1e-6, 0.5, 1 - 1e-6, 1 - 2**-24, 1])
-    save_ply(some(8, opacities=ends, scales=ends[:, None].repeat(1, 3)), tmp_path / "a.ply")
+    save_ply(
+        make_gaussians(8, opacities=ends, scales=ends[:, None].repeat(1, 3)), tmp_path / "a.ply"
+    )
     restored, _ = load_ply(tmp_path / "a.ply")
     for values in (restored.opacities, restored.scales[:, 0]):
         assert torch.equal(values[[0, 1, 6, 7]], ends[[0, 1, 6, 7]])
         assert (values / ends - 1).abs()[1:].max() < 5e-6  # EPS of a logarithm of 69
 
 
-def test_the_file_is_the_standard_one(tmp_path):
-    original = some(count=4)
+def test_save_ply_writes_standard_properties_in_order(tmp_path):
+    original = make_gaussians(count=4)
     save_ply(original, tmp_path / "a.ply")
     file = PlyData.read(str(tmp_path / "a.ply"))
     vertex = file["vertex"]
@@ -99,9 +101,9 @@ def test_the_file_is_the_standard_one(tmp_path):
     np.testing.assert_array_equal(vertex["rot_0"], original.quats[:, 0])  # w comes first
 
 
-def test_whole_numbers_that_floats_would_change_are_ints(tmp_path):
+def test_save_ply_writes_integers_that_float32_cannot_hold(tmp_path):
     source = torch.tensor([2**24, 2**24 + 1, 2**31 - 1], dtype=torch.int32)
-    save_ply(some(3, source=source), tmp_path / "a.ply", np.array([2**24, 0, -1]))
+    save_ply(make_gaussians(3, source=source), tmp_path / "a.ply", np.array([2**24, 0, -1]))
     vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
     assert [vertex[name].dtype.kind for name in ("source", "label")] == ["i", "f"]
     restored, extra = load_ply(tmp_path / "a.ply")
@@ -113,7 +115,7 @@ def test_whole_numbers_that_floats_would_change_are_ints(tmp_path):
     ("count", "kind", "form"),
     [(1, "f8", {"text": True}), (4, "f4", {"order": ">"}), (16, "f8", {"order": "<"})],
 )
-def test_files_of_any_form_and_order_are_read(tmp_path, count, kind, form):
+def test_load_ply_reads_any_encoding_and_column_order(tmp_path, count, kind, form):
     data = columns(count=count)
     restored, extra = load_ply(write(tmp_path / "a.ply", data, kind, **form))
     stored = {name: values.astype(kind).astype(np.float64) for name, values in data.items()}
@@ -134,7 +136,7 @@ def test_files_of_any_form_and_order_are_read(tmp_path, count, kind, form):
     assert restored.source.tolist() == [0, 1, 2, 3, 4] and restored.features is None and extra == {}
 
 
-def test_unknown_properties_are_kept_in_their_own_type(tmp_path):
+def test_load_ply_returns_unknown_properties_in_their_type(tmp_path):
     data = columns(3)
     kinds = [(name, ">f4") for name in data] + [("id", ">u2"), ("nx", ">f4"), ("source", ">f8")]
     table = np.empty(3, kinds)
@@ -150,8 +152,8 @@ def test_unknown_properties_are_kept_in_their_own_type(tmp_path):
     assert restored.source.tolist() == [0, 1, 2]
 
 
-def test_no_gaussians_make_a_file_without_vertices(tmp_path):
-    save_ply(some(0, count=4), tmp_path / "a.ply", np.zeros(0, np.int32))
+def test_ply_round_trip_without_gaussians(tmp_path):
+    save_ply(make_gaussians(0, count=4), tmp_path / "a.ply", np.zeros(0, np.int32))
     restored, extra = load_ply(tmp_path / "a.ply")
     assert (len(restored), tuple(restored.sh.shape)) == (0, (0, 4, 3))
     assert extra["label"].shape == (0,)
@@ -177,7 +179,7 @@ def spoil(name, row, value):
         (lambda d: d.update(filter_3D=np.ones(5)), "has filter_3D, by which"),
     ],
 )
-def test_what_makes_no_gaussian_is_named(tmp_path, change, sentence):
+def test_load_ply_error_names_invalid_property_or_vertex(tmp_path, change, sentence):
     data = columns()
     change(data)
     with pytest.raises(InputError, match=sentence) as error:
@@ -186,7 +188,7 @@ def test_what_makes_no_gaussian_is_named(tmp_path, change, sentence):
 
 
 @pytest.mark.parametrize("comment", ["SplatRenderMode: mip", "postshot.anti_aliasing=1"])
-def test_a_file_trained_with_antialiasing_is_refused(tmp_path, comment):
+def test_load_ply_refuses_gaussians_trained_with_antialiasing(tmp_path, comment):
     content = PlyData.read(str(write(tmp_path / "a.ply", columns())))
     content.comments = ["Generated by nerfstudio", "postshot.anti_aliasing=0"]
     content.write(str(tmp_path / "b.ply"))
@@ -197,7 +199,7 @@ def test_a_file_trained_with_antialiasing_is_refused(tmp_path, comment):
         load_ply(tmp_path / "b.ply")
 
 
-def test_what_is_no_whole_file_is_one_sentence(tmp_path):
+def test_load_ply_refuses_damaged_file_in_one_sentence(tmp_path):
     path = tmp_path / "a.ply"
     complete = write(path, columns(3)).read_bytes()
     header = b"ply\nformat binary_little_endian 1.0\n"
@@ -224,12 +226,12 @@ def test_what_is_no_whole_file_is_one_sentence(tmp_path):
         ({}, np.full(50, 2**31), "labels: found 2147483648"),
     ],
 )
-def test_a_failed_write_leaves_the_old_file(tmp_path, given, labels, sentence):
-    save_ply(some(3), tmp_path / "a.ply")
+def test_failed_save_ply_keeps_the_old_file(tmp_path, given, labels, sentence):
+    save_ply(make_gaussians(3), tmp_path / "a.ply")
     before = (tmp_path / "a.ply").read_bytes()
     with pytest.raises(InputError, match=sentence):
-        save_ply(some(**given), tmp_path / "a.ply", labels)
+        save_ply(make_gaussians(**given), tmp_path / "a.ply", labels)
     with pytest.raises(InputError, match="cannot be written"):
-        save_ply(some(3), tmp_path / "nowhere" / "a.ply")
+        save_ply(make_gaussians(3), tmp_path / "nowhere" / "a.ply")
     assert (tmp_path / "a.ply").read_bytes() == before
     assert [file.name for file in tmp_path.iterdir()] == ["a.ply"]

@@ -16,7 +16,7 @@ SIZES = [(60, 90), (45, 80), (31, 47), (40, 40), (120, 180), (97, 203), (7, 9), 
 """Of views of a photograph of 60x90: the same, smaller, larger, cropped, tiny; height first."""
 
 
-def photographed(**truths) -> View:
+def make_view(**truths) -> View:
     K = np.array([[80, 0, 44.0], [0, 80, 31], [0, 0, 1]])
     image = np.random.default_rng(0).integers(0, 256, (60, 90, 3)).astype(np.uint8)
     return View("a", Camera(K, np.eye(4), 90, 60), image, **truths)
@@ -44,11 +44,11 @@ def box_sums(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.nda
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_mask_is_set_where_it_covers_more_than_half(size):
+def test_resized_mask_covers_more_than_half_of_its_pixels(size):
     drawn = np.zeros((60, 90), np.uint8)
     cv2.fillPoly(drawn, [np.array([[10, 5], [80, 20], [30, 55]])], 1)
     drawn[30:40, 60:75] = 1
-    full = photographed(opaque=drawn > 0)
+    full = make_view(opaque=drawn > 0)
     view = full.resized(*size)
     cover = box_sums(drawn.astype(float), edges(view, full, 1), edges(view, full, 0))
     clear = np.abs(cover - 0.5) > 1e-4
@@ -62,17 +62,17 @@ def test_a_mask_is_set_where_it_covers_more_than_half(size):
 
 
 @pytest.mark.parametrize("size", [size for size in SIZES if size[0] * size[1] <= 60 * 90])
-def test_a_photograph_that_shrinks_is_averaged_over_the_same_pixels(size):
-    full = photographed()
+def test_shrunk_photograph_is_an_average_by_area(size):
+    full = make_view()
     view = full.resized(*size)
     means = box_sums(full.image.astype(float), edges(view, full, 1), edges(view, full, 0))
     assert np.abs(view.image - means).max() <= 0.5 + 1e-3
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_ids_are_those_at_the_centres(size):
+def test_resized_ids_equal_those_at_pixel_centres(size):
     ids = np.random.default_rng(1).integers(0, 9, (60, 90)).astype(np.int32)
-    full = photographed(instances=ids)
+    full = make_view(instances=ids)
     view = full.resized(*size)
     y, x = ((e[1:] + e[:-1]) / 2 for e in (edges(view, full, 1), edges(view, full, 0)))
     clear_y, clear_x = (np.abs(v - np.rint(v)) > 1e-6 for v in (y, x))  # on no border of two
@@ -88,8 +88,8 @@ def plane(camera: Camera, normal, least=0.03) -> np.ndarray:
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("normal", [(0.3, 0.1, 1), (-2, 1, 1), (0.1, 1.4, 0.35)])
-def test_depth_of_a_plane_is_exact(size, normal):
-    full = photographed()
+def test_resized_depth_of_a_plane_is_exact(size, normal):
+    full = make_view()
     depth = plane(full.camera, normal).astype(np.float32)
     view = View("a", full.camera, full.image, depth).resized(*size)
     truth = plane(view.camera, normal)
@@ -99,9 +99,9 @@ def test_depth_of_a_plane_is_exact(size, normal):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_depth_beside_steps_and_holes_is_of_one_surface(size):
+def test_resized_depth_never_mixes_two_surfaces(size):
     """The scene is a slanted floor before a wall, with a hole; no pixel mixes both."""
-    full = photographed()
+    full = make_view()
     floor, wall = (plane(full.camera, n) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1)))
     left = np.arange(90) < 37
     depth = np.where(left & (floor > 0), floor, wall).astype(np.float32)
@@ -114,8 +114,8 @@ def test_depth_beside_steps_and_holes_is_of_one_surface(size):
     assert np.array_equal(is_known, view.shown.ids(depth > 0, *size))
 
 
-def test_depth_through_a_lens_is_that_of_the_surface():
-    full = photographed()
+def test_undistort_keeps_depth_of_the_surface():
+    full = make_view()
     lens = np.array([0.2, 0.05, 0, 0, 0])
     K = full.camera.K
     maps = lens_maps(K, (90, 60), lens)
@@ -141,7 +141,7 @@ def test_depth_through_a_lens_is_that_of_the_surface():
 @pytest.mark.parametrize(
     ("fisheye", "k", "empty"), [(False, 0.35, 0.1986), (False, -0.1, 0), (True, 0.6, 0.108)]
 )
-def test_what_a_lens_does_not_show_is_unknown_and_the_rest_has_its_colour(fisheye, k, empty):
+def test_undistort_marks_pixels_outside_the_lens_as_unknown(fisheye, k, empty):
     width, height, focal = 640, 480, 500.0
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     camera = Camera(K, np.eye(4), width, height)
@@ -159,7 +159,7 @@ def test_what_a_lens_does_not_show_is_unknown_and_the_rest_has_its_colour(fishey
     assert view.opaque is None if not empty else (view.opaque == shown).all()
 
 
-def test_another_shape_is_refused_beyond_a_hundredth():
+def test_check_shape_refuses_aspect_that_differs_by_over_one_percent():
     photograph = Window.whole(988, 731)
     for size in [(988, 731), (494, 365), (994, 731), (1976, 1462), (4, 3)]:
         photograph.check_shape("a.png", *size)

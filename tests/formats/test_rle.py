@@ -15,7 +15,7 @@ LARGE[0, 0] = LARGE[1999, 2999] = LARGE[500:700, 1000:1002] = True
 masks = arrays.arrays(bool, arrays.array_shapes(min_dims=2, max_dims=2, max_side=40))
 
 
-def test_the_text_is_that_of_pycocotools():
+def test_counts_equal_those_of_pycocotools():
     # mask.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"]
     assert encode(SMALL) == "0181J0002O"
     assert encode(LARGE) == "01ccQm1W6eTPSN0[kmi3iI"
@@ -24,12 +24,12 @@ def test_the_text_is_that_of_pycocotools():
 
 
 @given(masks)
-def test_masks_come_back_from_text(mask):
+def test_decode_inverts_encode_for_any_mask(mask):
     assert rle.encode(mask) == (*mask.shape, encode(mask))
     assert np.array_equal(rle.decode(encode(mask), *mask.shape), mask)
 
 
-def test_a_list_is_read_as_text_is():
+def test_decode_accepts_a_list_of_counts():
     counts = [0, 1, 8, 2, 0, 2, 0, 2, 0, 8, 1]
     mask = rle.decode(counts, 4, 6)
     assert mask.sum() == sum(counts[1::2]) and mask[0, 0]
@@ -51,6 +51,6 @@ def test_a_list_is_read_as_text_is():
         (None, "not run lengths"),
     ],
 )
-def test_what_is_wrong_is_said(counts, why):
+def test_decode_error_explains_invalid_counts(counts, why):
     with pytest.raises(ValueError, match=why):
         rle.decode(counts, 4, 6)

@@ -16,7 +16,7 @@ NAMES = ["a  b", "a b", "c\u2028d", "e\x85f", "g\x0bh", "i\x0cj", "k\x1cl"]
 
 @pytest.mark.parametrize("mark", [b"", codecs.BOM_UTF8])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_names_are_what_stands_between_line_breaks(tmp_path, mark, end):
+def test_read_lines_splits_only_at_line_breaks(tmp_path, mark, end):
     file = tmp_path / "classes.txt"
     file.write_bytes(mark + end.join([*NAMES, ""]).encode())
     assert read_lines(file) == [*NAMES, ""]

@@ -70,7 +70,7 @@ def test_truncated_answers_do_not_make_housekeeping_delete(faulty_store):
     assert proxy.met["less than said"] >= 5
 
 
-def test_full_and_failing_servers_are_explained(faulty_store, monkeypatch):
+def test_store_error_explains_full_or_failing_server(faulty_store, monkeypatch):
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "2")
     proxy, store = faulty_store(0.0)
     proxy.full = True

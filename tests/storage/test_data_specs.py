@@ -36,12 +36,12 @@ def test_every_spec_is_complete(name):
     assert set(spec.axes) == letters
 
 
-def test_what_lost_a_miss_is_one_of_what_the_attribution_says():
+def test_attribution_spec_lists_all_causes_of_a_miss():
     causes = {*attribution.STAGES, attribution.UNFIXABLE}
     assert set(load_spec("attribution").columns["lost"].values) == causes
 
 
-def test_an_unknown_spec_says_which_there_are():
+def test_load_spec_lists_specs_for_an_unknown_name():
     with pytest.raises(SpecError, match=r"no data spec 'lables': expected one of .*labels"):
         load_spec("lables")
 
@@ -72,19 +72,19 @@ def gaussians(n: int = 3) -> dict[str, np.ndarray]:
         ("source", np.full(3, -1, np.int32), "source: found -1, expected values of at least 0"),
     ],
 )
-def test_a_mismatch_names_file_field_found_and_expected(name, value, message):
+def test_check_arrays_error_has_file_field_actual_and_expected(name, value, message):
     arrays = gaussians() | {name: value}
     if value is None:
         del arrays[name]
-    with refused(message) if message else nullcontext():
+    with expect_refusal(message) if message else nullcontext():
         load_spec("gaussians").check_arrays(arrays, "f.npz")
 
 
-def refused(message: str):
+def expect_refusal(message: str):
     return pytest.raises(SpecError, match=re.escape(message))
 
 
-def test_tables_are_checked_by_column():
+def test_check_table_refuses_each_invalid_column():
     spec, good = load_spec("failures"), failures("a")
     spec.check_table(good, "t")
     for wrong, message in (
@@ -93,7 +93,7 @@ def test_tables_are_checked_by_column():
         (good.set_column(1, "stage", pa.nulls(1, pa.string())), "t: stage: found 1 empty cells"),
         (good.append_column("more", pa.array([1])), "t: more: found an unknown column"),
     ):
-        with refused(message):
+        with expect_refusal(message):
             spec.check_table(wrong, "t")
 
 
@@ -114,24 +114,24 @@ def test_values_of_tables_have_bounds(changed, message):
     row |= {"hit_box": None, "hit_peak": None}
     table = pa.Table.from_pylist([row | changed], schema=spec.schema)
     spec.check_table(table.slice(0, 0), "t")
-    with refused(message) if message else nullcontext():
+    with expect_refusal(message) if message else nullcontext():
         spec.check_table(table, "t")
 
 
 @pytest.mark.parametrize("context", [[None], [0, None], [None, None, 2]])
-def test_an_empty_item_of_a_list_is_refused_in_any_row(context):
+def test_check_table_refuses_empty_item_of_a_list_in_any_row(context):
     spec = load_spec("pairs")
     row = {name: "a" if column.type == "string" else 1 for name, column in spec.columns.items()}
     rows = [row | {"context": c, "targets": [3]} for c in ([0, 1], [], context)]
     spec.check_table(pa.Table.from_pylist(rows[:2], schema=spec.schema), "t")
     table = pa.Table.from_pylist(rows, schema=spec.schema)
-    with refused(f"t: context: found {context.count(None)} empty items in its lists"):
+    with expect_refusal(f"t: context: found {context.count(None)} empty items in its lists"):
         spec.check_table(table, "t")
 
 
-def test_a_masked_value_is_refused_since_no_file_keeps_the_mask():
+def test_check_arrays_refuses_masked_values():
     hidden = np.ma.masked_less(gaussians()["means"], np.inf)
-    with refused("f.npz: means: found 9 masked values"):
+    with expect_refusal("f.npz: means: found 9 masked values"):
         load_spec("gaussians").check_arrays(gaussians() | {"means": hidden}, "f.npz")
 
 

@@ -18,7 +18,7 @@ def names(store: ArtifactStore) -> set[str]:
     return {file.uri for files in store.walk() for file in files}
 
 
-def filled(store: ArtifactStore) -> dict[str, str]:
+def fill_store(store: ArtifactStore) -> dict[str, str]:
     """Paths of artifacts: of stage a, of stage b with a part, and one that nothing refers to."""
     a, b, part, loose = (store.put("labels", labels(value)) for value in range(4))
     Records(store).keep(KEYS["a"], a)
@@ -27,8 +27,8 @@ def filled(store: ArtifactStore) -> dict[str, str]:
     return {"a": a.uri, "b": b.uri, "part": part.uri, "loose": loose.uri, "table": table.uri}
 
 
-def test_only_what_nothing_refers_to_goes(store):
-    uris = filled(store)
+def test_collect_removes_only_unreferenced_artifacts(store):
+    uris = fill_store(store)
     store.write("digests/abc.json", b"{}")
     store.write("notes.txt", b"of the user")
     before = names(store)
@@ -42,15 +42,15 @@ def test_only_what_nothing_refers_to_goes(store):
     assert all(Records(store).find(key) for key in KEYS.values())
 
 
-def test_what_is_young_stays(store):
-    uris = filled(store)
+def test_collect_keeps_young_artifacts(store):
+    uris = fill_store(store)
     garbage = collect(store, 3600, VERSIONS, delete=True)
     assert (garbage.artifacts, garbage.young) == (0, 1)
     assert uris["loose"] in names(store)
 
 
-def test_records_of_other_versions_go_with_what_only_they_name(store):
-    uris = filled(store)
+def test_collect_removes_records_of_other_versions_and_their_artifacts(store):
+    uris = fill_store(store)
     assert collect(store, -60, {"b": 2, "other": 1}).records == 0
     garbage = collect(store, -60, {"a": 1, "b": 3}, delete=True)
     assert (garbage.records, garbage.artifacts) == (1, 4)
@@ -59,7 +59,7 @@ def test_records_of_other_versions_go_with_what_only_they_name(store):
     assert Records(store).find(KEYS["b"]) is None
 
 
-def test_what_killed_programs_left_goes(local):
+def test_collect_removes_temporary_files_of_killed_programs(local):
     ref = local.put("labels", labels())
     Records(local).keep(KEYS["a"], ref)
     folder = Path(local.path) / ref.uri
@@ -95,7 +95,7 @@ RECORDS = {
 
 
 @pytest.mark.parametrize("data", RECORDS.values(), ids=RECORDS)
-def test_a_bad_record_is_no_result_and_is_named(local, data):
+def test_collect_removes_an_unreadable_record_and_its_artifact(local, data):
     ref = local.put("labels", labels())
     Records(local).keep(KEYS["a"], ref)
     (record,) = (record for some in Records(local).all() for record in some)

@@ -59,13 +59,13 @@ def field(tmp_path, gaussians) -> Path:
     return tmp_path / "f"
 
 
-def test_a_file_in_the_place_of_another_has_a_problem(artifact):
+def test_inspect_reports_artifact_under_the_name_of_another(artifact):
     other = artifact.with_name("0" * 64 + ".npz")
     shutil.copy(artifact, other)
     assert "expected that of its name" in inspect(other)[0]["problem"]
 
 
-def test_a_field_is_shown_file_by_file(field):
+def test_inspect_lists_every_file_of_a_field(field):
     rows = inspect(field)
     names = ["bank.npz", "field.json", "gaussians.npz", "objects.parquet"]
     assert [Path(row["path"]).name for row in rows] == names
@@ -73,7 +73,7 @@ def test_a_field_is_shown_file_by_file(field):
     assert rows[2]["made"]["stage"] == "build_field"
 
 
-def test_damaged_artifacts_of_a_store_are_named(store):
+def test_inspect_reports_damaged_artifacts_of_a_store(store):
     intact, harmed, gone, other = (store.put("labels", labels(value)).uri for value in range(4))
     data = store.read(harmed)
     store.write(harmed, data[:90] + b"?" + data[91:])
@@ -91,7 +91,7 @@ def test_damaged_artifacts_of_a_store_are_named(store):
         inspect(f"{store.root}/nothing")
 
 
-def test_files_of_a_store_are_counted_by_stage_and_damaged_ones_named(store):
+def test_summarize_counts_files_by_stage_and_returns_damaged_rows(store):
     for value in range(4):
         with record_provenance(Provenance("masks", 4 + value // 3, {}, {})):
             ref = store.put("labels", labels(value))
@@ -106,7 +106,7 @@ def test_files_of_a_store_are_counted_by_stage_and_damaged_ones_named(store):
     assert inspection.is_store(store.root)
 
 
-def test_weights_are_known_by_their_tensors(tmp_path):
+def test_inspect_recognises_weights_and_their_damage(tmp_path):
     data = save_branch(make_branch(Architecture(widths=(4, 6), hidden=8), 0))
     (tmp_path / "branch.safetensors").write_bytes(data)
     (row,) = inspect(tmp_path / "branch.safetensors")
@@ -142,7 +142,7 @@ def foreign() -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("name", foreign())
-def test_what_others_wrote_is_refused_in_one_sentence(tmp_path, name):
+def test_inspect_refuses_foreign_files_in_one_sentence(tmp_path, name):
     (tmp_path / name).write_bytes(foreign()[name])
     with pytest.raises(InputError, match=rf"^{tmp_path / name}: [^\n]*$"):
         inspect(tmp_path / name)
@@ -163,13 +163,13 @@ SPEC = load_spec("labels")
         (0, replace(SPEC, name="cakes"), "spec: found 'slgaussian/cakes@1', expected one"),
     ],
 )
-def test_a_file_that_is_not_what_its_spec_says_has_a_problem(tmp_path, margin, spec, problem):
+def test_inspect_reports_file_that_breaks_its_spec(tmp_path, margin, spec, problem):
     arrays = {**labels(), "margin": np.full((2, 4, 5), margin, np.float32)}
     (tmp_path / "l.npz").write_bytes(encode_arrays(arrays, spec))
     assert problem in inspect(tmp_path)[0]["problem"]
 
 
-def test_an_auditor_needs_pyarrow_and_numpy_alone(field, tmp_path, monkeypatch, capsys):
+def test_examples_of_the_guide_need_only_pyarrow_and_numpy(field, tmp_path, monkeypatch, capsys):
     """The examples of the guide, on a real field."""
     guide = (ROOT / "docs/guides/storage.md").read_text("utf-8")
     examples = re.findall(r"```python\n(.*?)```", guide, re.DOTALL)
@@ -185,6 +185,6 @@ def test_an_auditor_needs_pyarrow_and_numpy_alone(field, tmp_path, monkeypatch, 
     assert "means (6, 3) ['N', 3] scene unit Centres, scene units." in printed
 
 
-def test_the_page_of_stored_files_is_what_its_maker_writes():
+def test_page_of_stored_files_equals_output_of_its_script():
     maker = runpy.run_path(str(ROOT / "docs/make_files.py"))
     assert (ROOT / "docs/reference/files.md").read_text("utf-8") == maker["markdown"]()

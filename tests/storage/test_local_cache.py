@@ -10,23 +10,23 @@ ROOT = Path(__file__).parents[2]
 KB = bytes(1000)
 
 
-def size_of(folder) -> int:
+def measure_folder(folder) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def test_the_bound_is_kept_and_what_is_used_stays(tmp_path):
+def test_cache_keeps_its_bound_and_recently_used_files(tmp_path):
     cache = LocalCache(tmp_path, 32 * 1000)
     cache.put("often", KB)
     for number in range(200):
         cache.put(f"a/{number}", KB)
         assert cache.get("often") == KB
-        assert size_of(tmp_path) <= cache.bound
+        assert measure_folder(tmp_path) <= cache.bound
     assert cache.get("a/199") == KB
     assert cache.get("a/0") is None
-    assert size_of(tmp_path) > cache.bound / 2
+    assert measure_folder(tmp_path) > cache.bound / 2
 
 
-def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
+def test_cache_takes_size_and_folder_from_the_environment(tmp_path, monkeypatch):
     monkeypatch.delenv("SLGAUSSIAN_CACHE", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("SLGAUSSIAN_CACHE_SIZE", raising=False)
@@ -42,7 +42,7 @@ def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
         LocalCache.from_environment()
 
 
-def test_arrays_are_made_once_and_anew_where_the_file_is_damaged(tmp_path, monkeypatch):
+def test_cached_arrays_recomputes_only_damaged_files(tmp_path, monkeypatch):
     monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path))
     calls = []
 

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-import uuid
 import zipfile
 from pathlib import Path
 
@@ -33,7 +32,6 @@ from slgaussian.storage.provenance import (
     software,
 )
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore
 
 MADE = Provenance("masks", 5, {"replicas": 3}, {"sample": "sample"})
 SAID = {
@@ -46,15 +44,10 @@ SAID = {
 }
 
 
-@pytest.fixture
-def store() -> ArtifactStore:
-    return ArtifactStore(f"memory://{uuid.uuid4().hex}")
-
-
-def test_arrays_say_what_they_are_and_what_made_them(store):
+def test_npz_file_contains_spec_and_provenance(local):
     with record_provenance(MADE):
-        ref = store.put("labels", labels())
-    with np.load(io.BytesIO(store.read(ref.uri))) as file:
+        ref = local.put("labels", labels())
+    with np.load(io.BytesIO(local.read(ref.uri))) as file:
         assert set(file.files) == {"about.json", "labels", "margin"}
         metadata = json.loads(file["about.json"])
     assert (metadata["spec"], metadata["made"]) == ("slgaussian/labels@1", SAID)
@@ -64,13 +57,13 @@ def test_arrays_say_what_they_are_and_what_made_them(store):
     assert margin["axes"] == ["V", "H", "W"]
     assert (margin["unit"], margin["low"], margin["high"]) == ("1", 0, 1)
     assert metadata["fields"]["labels"]["meaning"] == load_spec("labels").fields["labels"].doc
-    assert read_metadata(store.read(ref.uri)) == metadata
+    assert read_metadata(local.read(ref.uri)) == metadata
 
 
-def test_tables_say_so_in_arrows_metadata(store):
+def test_parquet_metadata_contain_spec_and_provenance(local):
     with record_provenance(MADE):
-        ref = store.put("failures", failures("a"))
-    data = store.read(ref.uri)
+        ref = local.put("failures", failures("a"))
+    data = local.read(ref.uri)
     schema = pq.read_schema(io.BytesIO(data))
     metadata = {key.decode(): value.decode() for key, value in schema.metadata.items()}
     assert metadata["spec"] == "slgaussian/failures@1"
@@ -79,48 +72,48 @@ def test_tables_say_so_in_arrows_metadata(store):
     for name, column in load_spec("failures").columns.items():
         assert schema.field(name).metadata[b"meaning"].decode() == column.doc
     assert read_metadata(data)["made"] == SAID
-    assert store.get(ref).equals(failures("a"))
+    assert local.get(ref).equals(failures("a"))
 
 
-def test_what_made_a_file_is_no_part_of_its_digest(store):
-    plain = store.put("labels", labels())
+def test_digest_does_not_depend_on_provenance(local):
+    plain = local.put("labels", labels())
     with record_provenance(MADE):
-        ref = store.put("labels", labels())
+        ref = local.put("labels", labels())
     assert plain == ref and plain.uri == ref.uri
-    assert store.read(ref.uri) != encode_arrays(labels(), load_spec("labels"))
+    assert local.read(ref.uri) != encode_arrays(labels(), load_spec("labels"))
 
 
-def test_of_two_works_with_one_result_the_same_is_named_in_any_order(store):
+def test_put_keeps_the_same_provenance_in_any_order_of_stages(local):
     works = [MADE, Provenance("masks", 5, {"replicas": 5}), Provenance("other", 1)]
     left = set()
     for order in (works, works[::-1], [works[1], works[2], works[0]]):
-        ref = store.put("labels", labels())  # nobody says who
+        ref = local.put("labels", labels())  # nobody says who
         for origin in order:
             with record_provenance(origin):
-                store.put("labels", labels())
-        store.put("labels", labels())
-        left.add(store.read(ref.uri))
-        store.remove([ref.uri])
+                local.put("labels", labels())
+        local.put("labels", labels())
+        left.add(local.read(ref.uri))
+        local.remove([ref.uri])
     assert read_metadata(left.pop())["made"]["stage"] == "masks" and not left
 
 
-def test_what_only_passes_through_was_made_by_others(store):
+def test_content_passed_through_a_stage_does_not_name_it(local):
     digest = arrays_digest(labels())
     with record_provenance(Provenance("a", 1, passed_through={digest})):
-        ref = store.put("labels", labels())
-        assert "stage" not in read_metadata(store.read(ref.uri))["made"]
+        ref = local.put("labels", labels())
+        assert "stage" not in read_metadata(local.read(ref.uri))["made"]
     with record_provenance(Provenance("z", 1)):
-        store.put("labels", labels())
+        local.put("labels", labels())
     with record_provenance(Provenance("a", 1, passed_through={digest})):
-        store.put("labels", labels())
-    assert read_metadata(store.read(ref.uri))["made"]["stage"] == "z"
+        local.put("labels", labels())
+    assert read_metadata(local.read(ref.uri))["made"]["stage"] == "z"
 
 
 @pytest.mark.parametrize("label", ["slgaussian/bank@1", "slgaussian/labels@99", "else's", "none"])
-def test_files_of_another_spec_or_version_are_refused(label):
+def test_decode_refuses_files_of_another_spec_or_version(label):
     spec, about = load_spec("labels"), "{}" if label == "none" else json.dumps({"spec": label})
     with pytest.raises(SpecError, match=f"^f: spec: found {label}, expected {spec.label}; mend$"):
-        decode_arrays(rewritten(encode_arrays(labels(), spec), about), spec, "f", "mend")
+        decode_arrays(rewrite(encode_arrays(labels(), spec), about), spec, "f", "mend")
     buffer = io.BytesIO()
     metadata = None if label == "none" else {"spec": label}
     pq.write_table(failures("a").replace_schema_metadata(metadata), buffer)
@@ -128,7 +121,7 @@ def test_files_of_another_spec_or_version_are_refused(label):
         decode_table(buffer.getvalue(), load_spec("failures"), "f", "mend")
 
 
-def rewritten(data: bytes, about: str) -> bytes:
+def rewrite(data: bytes, about: str) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
         for name in old.namelist():
@@ -137,14 +130,14 @@ def rewritten(data: bytes, about: str) -> bytes:
 
 
 @pytest.mark.parametrize("about", ["", "[]", '{"spec": 3}', "{"])
-def test_a_statement_that_is_none_is_damage(about):
+def test_decode_refuses_file_with_invalid_metadata(about):
     spec = load_spec("labels")
-    data = rewritten(encode_arrays(labels(), spec), about)
+    data = rewrite(encode_arrays(labels(), spec), about)
     with pytest.raises(SpecError, match=r"f: file: found .* bytes that cannot be read"):
         decode_arrays(data, spec, "f")
 
 
-def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
+def test_encode_table_ignores_metadata_of_the_table():
     spec, table = load_spec("failures"), failures("a", "b")
     named = table.set_column(0, "scene", pa.array(["a", "b"]))
     with record_provenance(MADE):
@@ -152,7 +145,7 @@ def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
         assert json.dumps(provenance_metadata()) == json.dumps(provenance_metadata())
 
 
-def committed(folder: Path) -> str:
+def read_commit(folder: Path) -> str:
     """Return the commit that a program in a folder states."""
     code = "from slgaussian.storage.provenance import commit; print(commit())"
     done = subprocess.run(
@@ -163,7 +156,7 @@ def committed(folder: Path) -> str:
     return done.stdout.strip()
 
 
-def test_commit_is_that_of_a_clone_or_of_its_installation_else_unknown(tmp_path):
+def test_commit_of_clone_or_of_installation_from_repository(tmp_path):
     def git(*words: str) -> str:
         identity = ("-c", "user.name=a", "-c", "user.email=a@b")
         command = ["git", "-C", tmp_path, *identity, *words]
@@ -172,21 +165,21 @@ def test_commit_is_that_of_a_clone_or_of_its_installation_else_unknown(tmp_path)
     package = Path(__file__).parents[2] / "slgaussian"
     skip = shutil.ignore_patterns("__pycache__", "*.xz", "*.toml")
     shutil.copytree(package, tmp_path / "slgaussian", ignore=skip)
-    assert committed(tmp_path) == "unknown"
+    assert read_commit(tmp_path) == "unknown"
     (tmp_path / ".gitignore").write_text(".venv\n__pycache__\n")
     for words in (["init", "-q"], ["add", "-A"], ["commit", "-qm", "first"]):
         git(*words)
     head = git("rev-parse", "HEAD")
-    assert committed(tmp_path) == head
+    assert read_commit(tmp_path) == head
     (tmp_path / "slgaussian" / "added.py").write_text("")
-    assert committed(tmp_path) == f"{head}, changed"
+    assert read_commit(tmp_path) == f"{head}, changed"
 
     installed = tmp_path / ".venv"  # in the repository, but not of it
     shutil.copytree(tmp_path / "slgaussian", installed / "slgaussian", ignore=skip)
     (installed / "slgaussian-0.1.0.dist-info").mkdir()
     metadata = "Metadata-Version: 2.1\nName: slgaussian\nVersion: 0.1.0\n"
     (installed / "slgaussian-0.1.0.dist-info/METADATA").write_text(metadata)
-    assert committed(installed) == "unknown"
+    assert read_commit(installed) == "unknown"
     origin = {"url": "https://host/a.git", "vcs_info": {"vcs": "git", "commit_id": "c" * 40}}
     (installed / "slgaussian-0.1.0.dist-info/direct_url.json").write_text(json.dumps(origin))
-    assert committed(installed) == "c" * 40
+    assert read_commit(installed) == "c" * 40

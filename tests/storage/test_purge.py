@@ -33,11 +33,11 @@ TRACES = Traces(frozenset({"büro 1"}), frozenset({PHOTOGRAPH}))
         ("a.jpg", "another", False),
     ],
 )
-def test_a_trace_is_a_whole_word_or_the_photograph(name, text, expected):
+def test_is_in_file_finds_whole_words_and_photographs(name, text, expected):
     assert TRACES.is_in_file(name, text.encode()) is expected
 
 
-def test_traces_are_found_in_compressed_files():
+def test_is_in_file_searches_compressed_files():
     table = encode_artifact("failures", failures("büro 1"), "t")[1]
     other = encode_artifact("failures", failures("büro 10"), "t")[1]
     assert TRACES.is_in_file("t.parquet", table) and not TRACES.is_in_file("t.parquet", other)
@@ -54,7 +54,7 @@ def test_traces_are_found_in_compressed_files():
         assert traces.is_in_file("p.npz", packed) is expected
 
 
-def test_rows_go_and_a_name_in_a_nullable_column_alone_is_emptied():
+def test_cut_from_removes_rows_and_clears_names_in_nullable_columns():
     fields = [
         pa.field("clip", "string", False),
         pa.field("other", "string"),
@@ -67,7 +67,7 @@ def test_rows_go_and_a_name_in_a_nullable_column_alone_is_emptied():
     assert [tuple(row.values()) for row in cut.to_pylist()] == [("b", None, "büro 1"), rows[2]]
 
 
-def test_what_was_computed_from_a_clip_goes_and_what_others_share_stays(store: ArtifactStore):
+def test_find_derived_files_keeps_artifacts_shared_with_other_records(store: ArtifactStore):
     def key(stage: str) -> str:
         return f"{stage}/v1/{hashlib.sha256(stage.encode()).hexdigest()}"
 

@@ -20,7 +20,7 @@ SECRETS = [
 
 
 @pytest.mark.parametrize("url", SECRETS)
-def test_a_url_with_credentials_is_refused_and_not_repeated(url):
+def test_check_url_refuses_credentials_without_repeating_them(url):
     for refuse in (ArtifactStore, lambda place: check_url(place, "chunks")):
         with pytest.raises(InputError, match="found credentials in the URL") as error:
             refuse(url)
@@ -32,6 +32,6 @@ def test_a_url_with_credentials_is_refused_and_not_repeated(url):
     st.text("abcXYZ019+/=-_.%", min_size=1).filter(lambda s: not s[0].isdigit()),
     st.text("abcXYZ019", min_size=1),
 )
-def test_no_password_survives_masking(password, user):
+def test_redact_masks_every_password(password, user):
     masked = redacted(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
     assert masked == "could not reach s3://***@bucket/x, nor gs://other/y"

@@ -31,7 +31,7 @@ def names(store: ArtifactStore) -> list[str]:
     return [file.uri for files in store.walk() for file in files]
 
 
-def test_what_another_process_wrote_is_seen_at_once(store, bucket):
+def test_store_sees_files_of_another_process_at_once(store, bucket):
     other = ArtifactStore(f"{bucket}/slg")
     assert names(store) == []
     ref = other.put("labels", labels())
@@ -42,7 +42,7 @@ def test_what_another_process_wrote_is_seen_at_once(store, bucket):
         store.check(ref)
 
 
-def test_a_copy_is_read_while_it_is_whole(store):
+def test_get_reads_local_copy_unless_it_is_damaged(store):
     ref = store.put("labels", labels())
     copy = store.cache.folder / ref.uri
     store.fs.rm_file(f"{store.path}/{ref.uri}")
@@ -58,20 +58,20 @@ def test_a_copy_is_read_while_it_is_whole(store):
     assert copy.exists()
 
 
-def test_a_bucket_is_never_made_by_writing(bucket):
+def test_write_never_creates_a_bucket(bucket):
     with pytest.raises(InputError, match=r"cannot write there \(.*bucket"):
         ArtifactStore("s3://slg-not-there/slg").check_writable()
     assert not s3fs.S3FileSystem(use_listings_cache=False).exists("slg-not-there")
 
 
-def test_without_credentials_the_sentence_says_where_they_go(bucket, fresh, monkeypatch):
+def test_missing_credentials_error_says_where_to_set_them(bucket, fresh, monkeypatch):
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
     with pytest.raises(InputError, match=r"the credentials .AWS_ACCESS_KEY_ID and"):
         ArtifactStore(bucket).check_writable()
 
 
-def test_with_wrong_credentials_the_sentence_does_not_say_them(bucket, fresh, s3_server):
+def test_wrong_credentials_error_does_not_repeat_them(bucket, fresh, s3_server):
     def guard(unchecked: str) -> None:
         place, plain = f"{s3_server}/moto-api/reset-auth", {"Content-Type": "text/plain"}
         queries = urllib.request.Request(place, unchecked.encode(), plain)
@@ -89,7 +89,7 @@ def test_with_wrong_credentials_the_sentence_does_not_say_them(bucket, fresh, s3
         guard("inf")
 
 
-def test_a_server_that_does_not_answer_is_no_damage(bucket, fresh, monkeypatch):
+def test_find_raises_store_error_if_the_server_does_not_answer(bucket, fresh, monkeypatch):
     """Otherwise results would count as lost and be computed again."""
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://someone:hidden@127.0.0.1:9")
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
@@ -99,7 +99,7 @@ def test_a_server_that_does_not_answer_is_no_damage(bucket, fresh, monkeypatch):
     assert "hidden" not in str(error.value)
 
 
-def test_a_stage_makes_three_requests_cold_and_two_if_cached(store, monkeypatch):
+def test_cached_stage_makes_two_requests_and_cold_stage_three(store, monkeypatch):
     counts, call = Counter(), s3fs.S3FileSystem._call_s3
 
     async def count(self, method, *arguments, **named):
@@ -118,9 +118,7 @@ def test_a_stage_makes_three_requests_cold_and_two_if_cached(store, monkeypatch)
 
 
 @pytest.mark.parametrize("refused", [False, True])
-def test_a_damaged_file_is_replaced_also_where_writes_have_no_conditions(
-    store, monkeypatch, refused
-):
+def test_put_replaces_damaged_file_with_and_without_conditional_writes(store, monkeypatch, refused):
     upload = s3fs.S3FileSystem._pipe_file
 
     async def refuse(self, *arguments, mode="overwrite", **named):

@@ -24,11 +24,11 @@ from slgaussian.storage.specs import Spec, load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 
-def path_of(store: ArtifactStore, ref: ArtifactRef) -> Path:
+def find_file(store: ArtifactStore, ref: ArtifactRef) -> Path:
     return Path(store.path) / ref.uri
 
 
-def test_arrays_and_tables_come_back_as_they_were(store):
+def test_get_returns_equal_arrays_and_tables(store):
     ref = store.put("labels", labels(), {"objects": 1})
     back = store.get(ref)
     assert set(back) == {"labels", "margin"}
@@ -40,7 +40,7 @@ def test_arrays_and_tables_come_back_as_they_were(store):
     assert store.get(store.put("failures", table)).equals(table)
 
 
-def test_equal_content_is_one_file_and_other_content_another(store):
+def test_put_writes_one_file_for_equal_content(store):
     a, b, c = (store.put("labels", labels(v)) for v in (3, 3, 4))
     assert a == b
     assert a.uri == f"labels/{a.digest[:2]}/{a.digest}.npz"
@@ -54,7 +54,7 @@ def test_equal_content_is_one_file_and_other_content_another(store):
         shape=npst.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
     )
 )
-def test_any_array_survives_the_file_with_its_digest(array):
+def test_arrays_and_digest_survive_a_round_trip(array):
     arrays = {"a": array, "b": np.arange(3)}
     for compress in (True, False):
         anything = Spec("anything", "Any.", compress=compress, open=True)
@@ -76,11 +76,11 @@ def test_any_array_survives_the_file_with_its_digest(array):
         {"a": np.full((3, 2), -0.0, np.float32)},
     ],
 )
-def test_name_shape_dtype_and_bits_are_all_in_the_digest(other):
+def test_digest_depends_on_name_shape_dtype_and_bits(other):
     assert arrays_digest({"a": np.zeros((3, 2), np.float32)}) != arrays_digest(other)
 
 
-def test_a_table_digest_ignores_chunks_and_sees_values():
+def test_table_digest_ignores_chunks_but_not_values_and_types():
     table = failures("a", "b")
     parts = pa.concat_tables([failures("a"), failures("b")])
     assert table_digest(parts) == table_digest(table)
@@ -91,14 +91,14 @@ def test_a_table_digest_ignores_chunks_and_sees_values():
     assert table_digest(small) != table_digest(large)
 
 
-def pickled() -> bytes:
+def pickle_arrays() -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, labels=np.array([{"code": "here"}], object), margin=labels()["margin"])
     return buffer.getvalue()
 
 
 @pytest.mark.parametrize("damage", ["missing", "cut", "altered", "empty", "swapped", "pickled"])
-def test_damage_is_one_sentence_that_names_the_file(store, damage):
+def test_get_error_names_a_damaged_file_in_one_sentence(store, damage):
     ref, second = store.put("labels", labels(3)), store.put("labels", labels(4))
     path = f"{store.path}/{ref.uri}"
     content = store.fs.cat_file(path)
@@ -110,7 +110,7 @@ def test_damage_is_one_sentence_that_names_the_file(store, damage):
             "altered": content[:90] + bytes([content[90] ^ 255]) + content[91:],
             "empty": b"",
             "swapped": store.fs.cat_file(f"{store.path}/{second.uri}"),
-            "pickled": pickled(),
+            "pickled": pickle_arrays(),
         }[damage]
         store.fs.pipe_file(path, bad)
     with pytest.raises(SpecError, match=rf"^[^\n]*{ref.uri}[^\n]*found[^\n]*expected[^\n]*$"):
@@ -126,32 +126,32 @@ def test_damage_is_one_sentence_that_names_the_file(store, damage):
         ("s3a://bucket", r"needs s3fs \(`pip install 's3fs>=\d"),
     ],
 )
-def test_a_place_that_cannot_be_a_store_is_an_input_error(root, why, monkeypatch):
+def test_store_refuses_unknown_protocol_and_missing_package(root, why, monkeypatch):
     monkeypatch.setitem(sys.modules, "s3fs", None)
     with pytest.raises(InputError, match=f"store {root}: {why}"):
         ArtifactStore(root)
 
 
-def test_what_a_spec_forbids_is_neither_written_nor_read(local):
+def test_put_and_get_refuse_content_that_breaks_its_spec(local):
     wrong = {**labels(), "margin": np.zeros((2, 4, 5), np.float64)}
     with pytest.raises(SpecError, match=r"margin: found float64 .*expected float32"):
         local.put("labels", wrong)
     assert not Path(local.path).exists()
     ref = local.put("labels", labels())
-    path_of(local, ref).write_bytes(encode_arrays(wrong, load_spec("labels")))
+    find_file(local, ref).write_bytes(encode_arrays(wrong, load_spec("labels")))
     with pytest.raises(SpecError, match=f"{ref.digest}.npz: margin: found float64"):
         local.get(ref)
 
 
-def test_an_interrupted_write_leaves_nothing_behind(local, monkeypatch):
+def test_interrupted_put_leaves_no_file(local, monkeypatch):
     ref = local.put("labels", labels(1))
     before = sorted(Path(local.path).rglob("*"))
 
-    def interrupted(*_):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(os, "replace", interrupted)
-    monkeypatch.setattr(os, "link", interrupted)
+    monkeypatch.setattr(os, "replace", interrupt)
+    monkeypatch.setattr(os, "link", interrupt)
     with pytest.raises(KeyboardInterrupt):
         local.put("labels", labels(2))
     after = [p for p in sorted(Path(local.path).rglob("*")) if p.is_file() or p in before]
@@ -171,7 +171,7 @@ def test_an_interrupted_write_leaves_nothing_behind(local, monkeypatch):
         ),
     ],
 )
-def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path, below):
+def test_check_writable_refuses_a_folder_without_access(tmp_path, below):
     (tmp_path / "file").write_text("not a folder")
     (tmp_path / "locked").mkdir(stat.S_IRUSR | stat.S_IXUSR)
     with pytest.raises(InputError, match=r"cannot write there .*--store"):

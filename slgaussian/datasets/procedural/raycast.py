@@ -105,7 +105,7 @@ def dot(a, b):
 
 
 @kernel
-def turned(matrix, v):
+def rotate(matrix, v):
     """Return ``matrix`` [3, 3] times a vector, both as tuples of three."""
     return dot(matrix[0], v), dot(matrix[1], v), dot(matrix[2], v)
 
@@ -122,7 +122,7 @@ def nearest(solids, origin, ray, limit):
         if beyond > 0 and (along > 0 or along * along < beyond * dot(ray, ray)):
             continue
         a = solids.to_local[p]
-        t = _intersect(solids.kind[p], solids.size[p], turned(a, start), turned(a, ray))
+        t = _intersect(solids.kind[p], solids.size[p], rotate(a, start), rotate(a, ray))
         if 0 < t < best:
             best, which = t, p
     return best, which

@@ -100,7 +100,7 @@ def _read(
     depth, index = raycast.cast(solids, camera.center, camera.rays())
     rng = rng_for(seed, scene, name)
     gain = math.exp(rng.normal(0.0, 1.0) * exposure)
-    srgb = _encoded(light * gain)
+    srgb = _map_tones(light * gain)
     if noise:
         srgb += rng.normal(0.0, noise, srgb.shape)
     image = np.round(np.clip(srgb, 0, 1) * 255).astype(np.uint8)
@@ -119,7 +119,7 @@ def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
     return c2w
 
 
-def _encoded(light: np.ndarray) -> np.ndarray:
+def _map_tones(light: np.ndarray) -> np.ndarray:
     """Encode linear light as sRGB in [0, 1] (IEC 61966-2-1) with soft highlight clipping."""
     knee = 0.8
     excess = np.maximum(light - knee, 0) / (1 - knee)

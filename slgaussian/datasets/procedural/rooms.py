@@ -126,7 +126,7 @@ def _all_visible(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera])
     return True
 
 
-def _desaturated(material: Material) -> Material:
+def _desaturate(material: Material) -> Material:
     """Desaturate a material for walls, whose large areas would otherwise dominate the image."""
     if material.pattern == textures.BRICK:
         return material
@@ -149,8 +149,8 @@ def _shell(rng: np.random.Generator, used_looks: set[tuple[str, str]]) -> list[T
     return [
         Thing(f"{floor} floor", replace(tiles, gloss=0.03), (below,)),
         Thing("white ceiling", material(rng, "white", 1.0), (above,)),
-        Thing(f"{back} wall", _desaturated(material(rng, back, 0.9)), (ends[0],)),
-        Thing(f"{side} wall", _desaturated(material(rng, side, 0.9)), (*sides, ends[1])),
+        Thing(f"{back} wall", _desaturate(material(rng, back, 0.9)), (ends[0],)),
+        Thing(f"{side} wall", _desaturate(material(rng, side, 0.9)), (*sides, ends[1])),
     ]
 
 
@@ -220,7 +220,9 @@ def _carpet(
         (0.75, 0.5, -0.35, -0.4, -0.2), (1.05, 0.7, 0.35, -0.2, 0.2)
     ).tolist()
     ground.carpet = _Place((x, y), angle, (a, b), _CARPET_THICKNESS, ground.floor.circles)
-    solid = Solid(BOX, (a, b, _CARPET_THICKNESS / 2), (x, y, _CARPET_THICKNESS / 2), _turned(angle))
+    solid = Solid(
+        BOX, (a, b, _CARPET_THICKNESS / 2), (x, y, _CARPET_THICKNESS / 2), _rotate_z(angle)
+    )
     used_looks.add(("carpet", names.look(words)))
     return Thing(f"{words} carpet", replace(names.material(rng, words, 0.16), gloss=0.0), (solid,))
 
@@ -234,7 +236,7 @@ def _table(rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str,
     # The table stands at the wall, so its front edge is behind any carpet.
     deep = a * abs(math.sin(angle)) + b * math.cos(angle)
     x, y = side * float(rng.uniform(0.75, 1.1)), _BACK - 0.06 - deep
-    turn, reach = _turned(angle), (height - 2 * top) / 2
+    turn, reach = _rotate_z(angle), (height - 2 * top) / 2
     solids = [Solid(BOX, (a, b, top), (x, y, height - top), turn)]
     for sx, sy in itertools.product((-1, 1), (-1, 1)):
         dx, dy, _ = (turn @ [sx * (a - 2 * leg), sy * (b - 2 * leg), 0]).tolist()
@@ -277,7 +279,7 @@ def _object(
         return None
     x, y, place = spot
     angle, top = float(rng.uniform(0, 2 * math.pi)), None
-    turn = _turned(angle)
+    turn = _rotate_z(angle)
     size: Sequence[float]
     if shape == "ball":
         size, lift, turn = (scale,), scale, np.eye(3)
@@ -295,7 +297,7 @@ def _object(
         tube = scale * float(rng.uniform(0.2, 0.28))
         size, lift = (scale - tube, tube), tube
         if rng.random() >= 0.5:  # standing, its axis level and roughly towards the cameras
-            turn, lift = _turned(float(rng.uniform(-0.7, 0.7))) @ _QUARTER_TURN, scale
+            turn, lift = _rotate_z(float(rng.uniform(-0.7, 0.7))) @ _QUARTER_TURN, scale
     solid = Solid(names.SHAPES[shape], tuple(size), (x, y, place.z + lift), turn)
     cell = {"striped": 0.3, "checked": 0.38, "dotted": 0.42}.get(words.split(" ")[-1], 1.0) * scale
     thing = Thing(f"{words} {shape}", names.material(rng, words, cell), (solid,))
@@ -305,6 +307,6 @@ def _object(
 _QUARTER_TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotates local z to -y
 
 
-def _turned(angle: float) -> np.ndarray:
+def _rotate_z(angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])

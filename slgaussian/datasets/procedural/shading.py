@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slgaussian.datasets.procedural.raycast import Solids, dot, nearest, normal_at, turned
+from slgaussian.datasets.procedural.raycast import Solids, dot, nearest, normal_at, rotate
 from slgaussian.datasets.procedural.textures import Materials, albedo
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
@@ -57,7 +57,7 @@ def _photograph(counter, solids, casters, materials, light, eye, to_world, image
             red, green, blue = 0.0, 0.0, 0.0
             for k in range(n * n):
                 pixel = (col + (k % n + 0.5) / n, row + (k // n + 0.5) / n, 1.0)
-                ray = turned(to_world, pixel)
+                ray = rotate(to_world, pixel)
                 r, g, b = _radiance(solids, casters, materials, light, origin, ray, k)
                 red, green, blue = red + r, green + g, blue + b
             image[row, col, 0] = red / (n * n)
@@ -73,11 +73,11 @@ def _radiance(solids, casters, materials, light, eye, ray, sample):
         return 0.0, 0.0, 0.0
     px, py, pz = eye[0] + t * ray[0], eye[1] + t * ray[1], eye[2] + t * ray[2]
     a, c = solids.to_local[p], solids.centre[p]
-    local = turned(a, (px - c[0], py - c[1], pz - c[2]))
+    local = rotate(a, (px - c[0], py - c[1], pz - c[2]))
     kind, size = solids.kind[p], solids.size[p]
     normal = normal_at(kind, size, local)
     red, green, blue = albedo(materials, p, kind, size, local, normal)
-    nx, ny, nz = turned(a.T, normal)
+    nx, ny, nz = rotate(a.T, normal)
 
     # Ambient light is stronger from the ceiling than from the floor, and slightly weaker from one
     # side, so that the faces of a box differ also in the shadow.
