@@ -11,17 +11,9 @@ import numpy as np
 from slgaussian.geometry.boxes import Box, upright_box
 from slgaussian.geometry.room import find_room
 from slgaussian.io import short_repr
-from slgaussian.language import Encoder
-from slgaussian.language.lexicon import Lexicon
-from slgaussian.language.vocabulary import load_vocabulary
 
 if TYPE_CHECKING:
     from slgaussian.field import SemanticField
-
-COMMON_OBJECTS = (
-    "floor", "wall", "table", "chair", "sofa", "door", "window", "plant", "box", "book",
-)  # fmt: skip
-"""Texts for encoders without a vocabulary of their own."""
 
 MAX_DESCRIBING_WORDS = 3
 """Number of words that describe an object."""
@@ -86,13 +78,13 @@ def list_objects(
     estimated = any(camera.estimated for camera in cameras)
     objects = []
     for row, id_ in enumerate(bank.ids.tolist()):
-        if id_ in field.removed:
+        if id_ in field.edits.removed:
             continue
         members = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
         objects.append(
             SceneObject(
                 id=id_,
-                name=field.names.get(id_),
+                name=field.edits.names.get(id_),
                 words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
                 gaussians=len(members),
@@ -107,14 +99,3 @@ def list_objects(
 def _box(means: np.ndarray, up: np.ndarray, origin: np.ndarray) -> Box:
     box = upright_box(means, up)
     return replace(box, centre=box.centre + origin)
-
-
-def words_for(encoder: Encoder) -> tuple[str, ...]:
-    """Return the texts that describe objects: the lexicon's colours and its nouns for naming.
-
-    For other encoders they are the names of some common objects.
-    """
-    if not isinstance(encoder, Lexicon):
-        return COMMON_OBJECTS
-    vocabulary = load_vocabulary()
-    return tuple(sorted([*vocabulary.colours, *vocabulary.naming]))

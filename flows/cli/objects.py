@@ -141,7 +141,7 @@ def teach(
         )
     taught = opened.teach(word, id_)
     taught.save_edits(field)
-    typer.echo(f"{word!r} is object {id_}\nexamples  {taught.taught.examples(word)}")
+    typer.echo(f"{word!r} is object {id_}\nexamples  {taught.edits.taught.examples(word)}")
     typer.echo(f"it means  {_listed(taught.find(word))}")
 
 
@@ -163,7 +163,7 @@ def name(
 
     edited = SemanticField.load(field).named(id_, name or "")
     edited.save_edits(field)
-    name = edited.names.get(id_)
+    name = edited.edits.names.get(id_)
     typer.echo(f"object {id_} has no name" if name is None else f"object {id_} is {name!r}")
 
 
@@ -204,7 +204,7 @@ def remove(
         meaning = f"objects {_listed(objects)}" if objects else "nothing found"
         typer.echo(f"{text!r}: {meaning}, {np.isin(labels, list(ids)).sum():,} Gaussians")
     if removed:
-        opened.without(removed).dropped().save(out)
+        opened.without(removed).drop_removed().save(out)
         typer.echo(out)
     raise typer.Exit(0 if all(hits.values()) else 3)
 
@@ -235,7 +235,7 @@ def extract(
         check_target(out)
     rules, opened = open_field(field, ctx)
     hits = find_objects(opened, text, rules)
-    extracted = opened.dropped().only(id_ for id_, _ in hits)
+    extracted = opened.drop_removed().only(id_ for id_, _ in hits)
     if not len(extracted.gaussians):
         typer.echo(f"nothing found for {text!r}, so nothing is written")
         raise typer.Exit(3)
@@ -253,18 +253,18 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     """
     import numpy as np
 
+    from slgaussian.language.answer import ask
     from slgaussian.language.objectmap import ObjectMap
-    from slgaussian.language.query import ask
     from slgaussian.language.rules import Rules
 
     if text.strip().isdecimal():
-        if int(text) not in set(field.bank.ids.tolist()) - field.removed:
+        if int(text) not in set(field.bank.ids.tolist()) - field.edits.removed:
             raise InputError(
                 f"{text!r}: is no object of the field; `slgaussian objects list` lists them"
             )
         return ((int(text), 1.0),)
     labels = field.labels()
-    labels = np.where(np.isin(labels, list(field.removed)), 0, labels)
+    labels = np.where(np.isin(labels, list(field.edits.removed)), 0, labels)
     object_map = ObjectMap(labels[None], field.bank.ids)
     (answer,) = ask([text], object_map, field.reader, Rules(**rules))
     return field.find(text, **rules) if answer.shown else ()
@@ -300,9 +300,9 @@ def _sure_words(
     field: SemanticField, texts: Sequence[str], rules: Mapping[str, Any]
 ) -> dict[int, list[str]]:
     """Return the words whose query finds each object in a context view, most confident first."""
-    from slgaussian.objects import words_for
-
-    candidate_texts = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
+    candidate_texts = list(
+        dict.fromkeys([*field.edits.taught, *(texts or field.encoder.describing)])
+    )
     surest: dict[tuple[int, str], float] = {}
     for camera in list(field.cameras.values())[:MAX_QUERIED_VIEWS]:
         hits = field.render(camera).query_all(candidate_texts, **rules)

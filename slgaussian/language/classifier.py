@@ -112,7 +112,7 @@ def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
     return pooled
 
 
-def quantised(log_probabilities: np.ndarray) -> np.ndarray:
+def quantize(log_probabilities: np.ndarray) -> np.ndarray:
     """Quantise log-probabilities to uint8: k stands for -k * :data:`LOG_STEP` nats."""
     return np.rint(np.clip(log_probabilities / -LOG_STEP, 0, 255)).astype(np.uint8)
 
@@ -121,7 +121,7 @@ def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int
     """Compute the log-ratio of class probabilities in regions and in whole photographs, nats.
 
     Args:
-        regions: uint8 [..., V, 1000]. Scores of regions of V photographs, from :func:`quantised`.
+        regions: uint8 [..., V, 1000]. Scores of regions of V photographs, from :func:`quantize`.
         photographs: uint8 [V, 1000]. Mean scores of whole photographs.
         classes: The classes of a noun.
     """

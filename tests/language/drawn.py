@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 
 from slgaussian.labels import LabelMaps
-from slgaussian.language import query
+from slgaussian.language import answer
+from slgaussian.language.answer import QueryResult
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import QueryResult
-from slgaussian.language.reader import BankReader
-from slgaussian.language.relevancy import Scorer, sigmoid
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import BankReader, Scorer, sigmoid
 from slgaussian.scene import Camera, View
 
 RED, GREEN, BLUE = (200, 30, 35), (40, 140, 60), (35, 75, 190)
@@ -98,12 +97,12 @@ def find(
 ) -> QueryResult:
     """Query one text in an id map."""
     object_map = ObjectMap(ids, bank.ids)
-    return query.ask([text], object_map, BankReader(bank, encoder), Rules(**rules))[0]
+    return answer.ask([text], object_map, BankReader(bank, encoder), Rules(**rules))[0]
 
 
 def segment(texts: list[str], ids: np.ndarray, bank: MemoryBank, encoder: Lexicon) -> np.ndarray:
     """Return the best of several texts for each object of an id map."""
-    return query.segment(texts, ObjectMap(ids, bank.ids), BankReader(bank, encoder), Rules())
+    return answer.segment(texts, ObjectMap(ids, bank.ids), BankReader(bank, encoder), Rules())
 
 
 def relevancy(features, present, queries, canonical, temperature=10.0, absent="skip") -> np.ndarray:

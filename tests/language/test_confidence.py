@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.language.confidence import (
+from slgaussian.language.answer import (
     MIN_POINT_PROBABILITY,
     STD_OFFSET,
     TYPICAL_STAND_OUT,

@@ -24,12 +24,12 @@ from drawn import (
 
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
+from slgaussian.language.answer import ask
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import ask
-from slgaussian.language.reader import BankReader
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import BankReader
 
 OBJECTS = [
     (ball(60, 60, 26), RED),

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import expit
 
-from slgaussian.language.relevancy import Scorer, sigmoid
+from slgaussian.language.scoring import Scorer, sigmoid
 
 
 def unit_of(vectors: np.ndarray) -> np.ndarray:

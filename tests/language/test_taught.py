@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError, SpecError
+from slgaussian.language.answer import ask
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import ask
-from slgaussian.language.reader import BankReader
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import BankReader
 from slgaussian.language.taught import (
     BOUNDARY_LIKENESS,
     COSINE_SCALE,
@@ -35,7 +35,7 @@ def unit(seed: int, count: int = 1) -> np.ndarray:
 
 def taught(word: str = "fox", seed: int = 0, before: TaughtWords | None = None) -> TaughtWords:
     words = before or TaughtWords()
-    return words.with_example(word, unit(seed)[0], unit(100 + seed, 6), THIS)
+    return words.add_example(word, unit(seed)[0], unit(100 + seed, 6), THIS)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def reader(scene, *lessons: int, word: str = "zorp") -> BankReader:
     words = TaughtWords()
     for row in lessons:
         rivals = np.stack([feature(bank, rival) for rival in range(len(bank)) if rival != row])
-        words = words.with_example(word, feature(bank, row), rivals, THIS)
+        words = words.add_example(word, feature(bank, row), rivals, THIS)
     return BankReader(bank, encoder, words)
 
 
@@ -103,7 +103,7 @@ def test_taught_and_other_texts_in_one_question_answer_as_alone(scene):
 def test_an_example_leads_all(lessons, seed):
     words = TaughtWords()
     for number in {*lessons, 9}:
-        words = words.with_example("fox", unit(number)[0], unit(200, 7), THIS)
+        words = words.add_example("fox", unit(number)[0], unit(200, 7), THIS)
     looks = np.concatenate([unit(seed + 300, 5), unit(9)]).astype(np.float64)
     leads = words.leads("fox", looks)
     assert leads.argmax() == 5 and leads[5] == pytest.approx(
@@ -114,9 +114,9 @@ def test_an_example_leads_all(lessons, seed):
 
 def test_an_example_given_again_is_there_once_and_no_rival():
     rivals = unit(7, 4)
-    words = TaughtWords().with_example("fox", unit(1)[0], rivals, THIS)
-    assert words.with_example("Fox", unit(1)[0], rivals, THIS).examples("fox") == 1
-    second = words.with_example("fox", rivals[2], np.concatenate([rivals[:2], unit(1)]), THIS)
+    words = TaughtWords().add_example("fox", unit(1)[0], rivals, THIS)
+    assert words.add_example("Fox", unit(1)[0], rivals, THIS).examples("fox") == 1
+    second = words.add_example("fox", rivals[2], np.concatenate([rivals[:2], unit(1)]), THIS)
     assert second.examples("fox") == 2
     assert len(second.lessons["fox"].rivals) == 3  # neither example, and no rival twice
 
@@ -124,11 +124,11 @@ def test_an_example_given_again_is_there_once_and_no_rival():
 def test_a_word_that_is_forgotten_leaves_nothing():
     words = taught("owl", 3, taught())
     assert list(words) == ["fox", "owl"] and "FOX" in words and "" not in words
-    left = words.without("fox")
+    left = words.remove("fox")
     assert list(left) == ["owl"] and set(left.to_arrays()["rival_words"]) == {"owl"}
-    assert left.without("owl").to_arrays()["encoder"] == ""
+    assert left.remove("owl").to_arrays()["encoder"] == ""
     with pytest.raises(InputError, match=r"'fox': is no taught word; those there are: 'owl'"):
-        left.without("fox")
+        left.remove("fox")
 
 
 def test_a_file_gives_the_same_words_and_the_same_bytes():
@@ -146,7 +146,7 @@ def test_words_of_another_encoder_or_length_are_refused():
     with pytest.raises(SpecError, match=r"words\.npz: .*" + says):
         TaughtWords.from_bytes(taught().to_bytes(), "words.npz", OTHER)
     with pytest.raises(InputError, match=says):
-        taught().with_example("owl", unit(1)[0], unit(2, 2), OTHER)
+        taught().add_example("owl", unit(1)[0], unit(2, 2), OTHER)
     arrays = {**taught().to_arrays(), "rivals": np.ones((6, WIDTH), np.float16)}
     data = encode_arrays(arrays, load_spec("words"))
     with pytest.raises(SpecError, match=r"words\.npz: .*no unit vector"):
