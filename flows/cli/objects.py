@@ -300,9 +300,8 @@ def _sure_words(
     field: SemanticField, texts: Sequence[str], rules: Mapping[str, Any]
 ) -> dict[int, list[str]]:
     """Return the words whose query finds each object in a context view, most confident first."""
-    candidate_texts = list(
-        dict.fromkeys([*field.edits.taught, *(texts or field.encoder.describing)])
-    )
+    texts = texts or field.encoder.describing
+    candidate_texts = list(dict.fromkeys([*field.edits.taught, *texts]))
     surest: dict[tuple[int, str], float] = {}
     for camera in list(field.cameras.values())[:MAX_QUERIED_VIEWS]:
         hits = field.render(camera).query_all(candidate_texts, **rules)

@@ -82,19 +82,15 @@ class LiveField:
         if it is not drawn, least significant bit first, empty if all are drawn; ``taught``:
         words; ``unsaved`` and ``undo``: whether there are unsaved changes and changes to undo.
         """
-        field = self.field
+        field, edits = self.field, self.field.edits
         words = field.best_words()
-        gone = (
-            np.packbits(field.hidden[self._order], bitorder="little")
-            if field.edits.removed
-            else b""
-        )
+        hidden = field.hidden[self._order] if edits.removed else np.zeros(0, bool)
         return {
-            "names": [field.edits.names.get(id_, "") for id_ in self.ids],
+            "names": [edits.names.get(id_, "") for id_ in self.ids],
             "words": [[[text, round(r, 4)] for text, r in words[row]] for row in self._rows],
-            "removed": sorted(field.edits.removed),
-            "gone": base64.b64encode(bytes(gone)).decode(),
-            "taught": list(field.edits.taught),
+            "removed": sorted(edits.removed),
+            "gone": base64.b64encode(np.packbits(hidden, bitorder="little").tobytes()).decode(),
+            "taught": list(edits.taught),
             "undo": bool(self._earlier),
             "unsaved": self.unsaved,
         }

@@ -68,8 +68,8 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
     assert second == "'1': objects 1 (1.000), 0 Gaussians"
     assert "'1': is no object of" in refusal("objects", "extract", out, RED, "-o", tmp_path / "1")
     left = SemanticField.load(out)
-    assert left.removed == {RED} and RED not in left.labels()
-    assert SemanticField.load(walls).removed == frozenset()
+    assert left.edits.removed == {RED} and RED not in left.labels()
+    assert SemanticField.load(walls).edits.removed == frozenset()
     status, (answer,) = ask("query", out, "red")
     assert status == 3 and not answer["found"]
     status, rows = ask("objects", "list", out, "-o", tmp_path / "list.png")

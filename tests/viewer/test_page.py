@@ -22,7 +22,7 @@ from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Camera, Sample
-from slgaussian.viewer.page.answers import compute_answers
+from slgaussian.viewer.page.answers import PageAnswers, list_texts
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
 from tests.known import known_field
