@@ -11,6 +11,10 @@ import numpy as np
 from slgaussian.geometry.boxes import Box, upright_box
 from slgaussian.geometry.room import find_room
 from slgaussian.io import short_repr
+from slgaussian.language import COMMON_OBJECTS
+from slgaussian.language.answer import ask
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.rules import Rules
 
 if TYPE_CHECKING:
     from slgaussian.field import SemanticField
@@ -99,3 +103,20 @@ def list_objects(
 def _box(means: np.ndarray, up: np.ndarray, origin: np.ndarray) -> Box:
     box = upright_box(means, up)
     return replace(box, centre=box.centre + origin)
+
+
+def suggest_word(field: SemanticField) -> str | None:
+    """Choose the common object whose query in the first view is most confident; None if none is.
+
+    Nothing is rendered: the memory bank has the areas of the objects in the photograph, and which
+    of them touch in any view.
+    """
+    ids, wholes = field.bank.ids, field.bank.wholes
+    if field.encoder.calibration is None or wholes is None or not len(wholes.borders):
+        return None
+    camera = next(iter(field.cameras.values()))
+    areas = np.rint(wholes.shares[:, 0] * camera.width * camera.height).astype(int)
+    pairs = np.kron(ids[wholes.borders.T], [[1, 0]])  # a column for each pair that touches
+    hits = ask(COMMON_OBJECTS, ObjectMap(pairs, ids, areas), field.reader, Rules())
+    probabilities = {hit.text: hit.confidence.mask for hit in hits if hit.found and hit.confidence}
+    return max(probabilities, key=probabilities.__getitem__, default=None)

@@ -247,13 +247,19 @@ def ask(
     chosen = choose(texts, gaps, image.areas, reader, rules)
     visible = np.flatnonzero(image.areas)
     uncalibrated = _name_uncalibrated(reader.encoder, rules)
+    calibration = None if uncalibrated else reader.encoder.calibration
     answers = []
     for text, gap, choice in zip(texts, gaps, chosen, strict=True):
-        understood = reader.understood(text)
+        understood, confidence = reader.understood(text), None
         ranked = visible[np.argsort(-gap[visible], kind="stable")]
         ranked = ranked[gap[ranked] > -np.inf]
         pointed = ranked[choice[ranked]] if choice[ranked].any() else ranked
         best = gap[pointed].max(initial=-np.inf)
+        named = understood.kind == "named"
+        if calibration is not None and not named and len(ranked):
+            parts, asks = image.parts(choice & (gap > -np.inf)), understood.measurements
+            at = signs(gap[ranked], choice[ranked], asks, parts, understood.named)
+            confidence = calibration(at)
         answers.append(
             QueryResult(
                 text=text,
@@ -264,8 +270,8 @@ def ask(
                 chosen=choice,
                 pointed=pointed[gap[pointed] >= min(NEAR_BEST_POINT * best, best)],
                 image=image,
-                confidence=_judge(gap, choice, ranked, understood, image, reader.encoder, rules),
-                uncalibrated="" if understood.kind == "named" else uncalibrated,
+                confidence=confidence,
+                uncalibrated="" if named else uncalibrated,
             )
         )
     return answers
@@ -325,24 +331,6 @@ def _name_uncalibrated(encoder: Encoder, rules: Rules) -> str:
     if encoder.calibration is None:
         return f"the encoder {encoder.name}"
     return "" if rules.canonical is None else "canonical phrases of your own"
-
-
-def _judge(
-    gaps: np.ndarray,
-    chosen: np.ndarray,
-    ranked: np.ndarray,
-    understood: Understood,
-    image: ObjectMap,
-    encoder: Encoder,
-    rules: Rules,
-) -> Confidence | None:
-    """Compute the probability that an answer is right; None without a calibration or an object."""
-    unjudged = understood.kind == "named" or not len(ranked)
-    if unjudged or encoder.calibration is None or _name_uncalibrated(encoder, rules):
-        return None
-    parts = image.parts(chosen & (gaps > -np.inf))
-    at = signs(gaps[ranked], chosen[ranked], understood.measurements, parts, understood.named)
-    return encoder.calibration(at)
 
 
 def signs(

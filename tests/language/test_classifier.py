@@ -1,7 +1,5 @@
 """Dense classification: the network compared with PyTorch in float64, and its scores."""
 
-import pickle
-
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from torch.nn import functional as F
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.language import classifier, configs, lite0
+from slgaussian.language import classifier, configs
 from slgaussian.language.classifier import LOG_STEP, evidence, quantised
 from slgaussian.language.vocabulary import noun_classes
 
@@ -158,13 +156,6 @@ def test_refuses_other_weights(tmp_path):
     (tmp_path / "weights.pth").write_bytes(b"others")
     with pytest.raises(InputError, match=r"is not the file of .* install it again"):
         classifier.Classifier(tmp_path / "weights.pth")
-
-
-def test_weights_that_name_code_run_nothing(tmp_path):
-    file = tmp_path / "weights.pth"
-    file.write_bytes(pickle.dumps(cv2.imread))
-    with pytest.raises(KeyError, match="imread"):
-        lite0.read_weights(file)
 
 
 def test_nouns_above_mean_all_that_they_hold():

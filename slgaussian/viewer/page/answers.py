@@ -61,7 +61,7 @@ class PageAnswers:
         return {
             **{name: getattr(hit, name) for name in names},
             "score": round(hit.score, 6),
-            "confidence": hit.confidence and [round(p, 4) for p in hit.confidence],
+            "confidence": hit.confidence and [round(p, 6) for p in hit.confidence],
             "scores": np.round(scores, 6).tolist(),
             "taken": [self.ids.index(id_) for id_, _ in hit.objects],
         }
