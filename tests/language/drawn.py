@@ -78,17 +78,17 @@ def photograph(objects: list[tuple], seed: int = 0) -> tuple[np.ndarray, np.ndar
     return np.clip(np.round(soft), 0, 255).astype(np.uint8), ids
 
 
-def view_of(image: np.ndarray, name: str = "view") -> View:
+def make_view(image: np.ndarray, name: str = "view") -> View:
     """Return a view with an image and an irrelevant camera."""
     h, w = image.shape[:2]
     K = np.array([[300.0, 0, w / 2], [0, 300, h / 2], [0, 0, 1]])
     return View(name, Camera(K, np.eye(4), w, h), image)
 
 
-def bank_of(images: list[np.ndarray], ids: list[np.ndarray], encoder: Lexicon) -> MemoryBank:
+def make_bank(images: list[np.ndarray], ids: list[np.ndarray], encoder: Lexicon) -> MemoryBank:
     """The memory bank of some photographs and their id maps."""
     maps = LabelMaps(np.stack(ids), np.ones((len(ids), *ids[0].shape), np.float32))
-    views = [view_of(image, f"view {i}") for i, image in enumerate(images)]
+    views = [make_view(image, f"view {i}") for i, image in enumerate(images)]
     return build_bank(views, maps, encoder, grid_codes(len(maps.ids), np.random.default_rng(0)))
 
 

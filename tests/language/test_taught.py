@@ -19,7 +19,7 @@ from slgaussian.language.taught import (
 )
 from slgaussian.storage.encoding import decode_npz, encode_arrays
 from slgaussian.storage.specs import load_spec
-from tests.language.drawn import BLUE, GREEN, GREY, RED, ball, bank_of, box, cone, photograph
+from tests.language.drawn import BLUE, GREEN, GREY, RED, ball, box, cone, make_bank, photograph
 
 THIS = encoder_identity({"encoder": "lexicon"})
 OTHER = encoder_identity({"encoder": "clip", "clip": {"model": "1f2e"}})
@@ -49,7 +49,7 @@ def scene():
         images.append(image)
         ids.append(labels)
     encoder = Lexicon()
-    return ids[0], bank_of(images, ids, encoder), encoder
+    return ids[0], make_bank(images, ids, encoder), encoder
 
 
 def feature(bank, row: int) -> np.ndarray:
@@ -73,7 +73,7 @@ def ask_once(scene, reader: BankReader, text: str = "zorp", **rules):
 
 
 @pytest.mark.parametrize("row", range(4))
-def test_a_word_the_encoder_does_not_know_finds_what_it_was_taught_on(scene, row):
+def test_taught_word_finds_its_example(scene, row):
     hit = ask_once(scene, reader(scene, row), "  ZORP ")
     assert [id_ for id_, _ in hit.objects] == [row + 1]
     assert hit.score > 0.6
@@ -82,7 +82,7 @@ def test_a_word_the_encoder_does_not_know_finds_what_it_was_taught_on(scene, row
     assert other_scores.max() < 0.5
 
 
-def test_the_taught_meaning_wins_over_a_known_word_and_says_so(scene):
+def test_taught_word_takes_precedence_over_the_encoder(scene):
     of_known_word = ask_once(scene, reader(scene), "blue")
     assert of_known_word.kind == "known" and of_known_word.objects[0][0] == 2
     hit = ask_once(scene, reader(scene, 2, word="blue"), "Blue")
@@ -92,7 +92,7 @@ def test_the_taught_meaning_wins_over_a_known_word_and_says_so(scene):
     assert ask_once(scene, reader(scene), "blue zorp").kind == "unknown"
 
 
-def test_taught_and_other_texts_in_one_question_answer_as_alone(scene):
+def test_gaps_of_taught_and_known_texts_equal_those_of_each_alone(scene):
     taught_reader = reader(scene, 3)
     together = taught_reader.gaps(["red", "zorp", "green cone"], Rules())
     for text, gaps in zip(["red", "zorp", "green cone"], together, strict=True):
@@ -100,7 +100,7 @@ def test_taught_and_other_texts_in_one_question_answer_as_alone(scene):
 
 
 @given(st.lists(st.integers(0, 5), max_size=6), st.integers(0, 50))
-def test_an_example_leads_all(lessons, seed):
+def test_leads_are_highest_for_an_example(lessons, seed):
     words = TaughtWords()
     for number in {*lessons, 9}:
         words = words.add_example("fox", unit(number)[0], unit(200, 7), THIS)
@@ -112,7 +112,7 @@ def test_an_example_leads_all(lessons, seed):
     assert (leads >= -2 * COSINE_SCALE).all()
 
 
-def test_an_example_given_again_is_there_once_and_no_rival():
+def test_add_example_keeps_examples_distinct_and_out_of_rivals():
     rivals = unit(7, 4)
     words = TaughtWords().add_example("fox", unit(1)[0], rivals, THIS)
     assert words.add_example("Fox", unit(1)[0], rivals, THIS).examples("fox") == 1
@@ -121,7 +121,7 @@ def test_an_example_given_again_is_there_once_and_no_rival():
     assert len(second.lessons["fox"].rivals) == 3  # neither example, and no rival twice
 
 
-def test_a_word_that_is_forgotten_leaves_nothing():
+def test_remove_leaves_nothing_of_a_word():
     words = taught("owl", 3, taught())
     assert list(words) == ["fox", "owl"] and "FOX" in words and "" not in words
     left = words.remove("fox")
@@ -131,7 +131,7 @@ def test_a_word_that_is_forgotten_leaves_nothing():
         left.remove("fox")
 
 
-def test_a_file_gives_the_same_words_and_the_same_bytes():
+def test_arrays_restore_equal_words():
     words = taught("brass owl", 5, taught())
     data = encode_arrays(words.to_arrays(), load_spec("words"))
     restored = TaughtWords.from_arrays(decode_npz(data)[0], THIS)
@@ -142,7 +142,7 @@ def test_a_file_gives_the_same_words_and_the_same_bytes():
     assert encode_arrays(restored.to_arrays(), load_spec("words")) == data
 
 
-def test_words_of_another_encoder_or_length_are_refused():
+def test_words_of_another_encoder_or_length_raise_errors():
     says = r'are of the encoder {"encoder": "lexicon"}, but this field.s is {"encoder": "clip"'
     with pytest.raises(InputError, match=says):
         TaughtWords.from_arrays(taught().to_arrays(), OTHER)

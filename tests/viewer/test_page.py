@@ -192,7 +192,7 @@ def test_page_reads_texts_as_the_lexicon(page, field, text, expected):
         assert reading["reason"]
 
 
-def test_taught_words_and_names_are_answered(browser, field, view, tmp_path):
+def test_page_answers_taught_words_and_names(browser, field, view, tmp_path):
     (cone, _), *_ = view.query("cone").objects
     (ball, _), *_ = view.query("ball").objects
     taught = field.teach("Gizmo of mine", cone).named(ball, "Anna's ball")
@@ -206,7 +206,7 @@ def test_taught_words_and_names_are_answered(browser, field, view, tmp_path):
         assert "right" not in answer, "a name carries no probability of being right"
 
 
-def test_missing_webgl_is_reported(browser, file):
+def test_page_reports_missing_webgl(browser, file):
     with Browser("--disable-3d-apis") as plain, plain.open(file.as_uri()) as tab:
         message = tab.wait(
             "!document.getElementById('waiting').textContent.startsWith('Unpacking')"
@@ -283,7 +283,7 @@ def test_page_makes_no_requests_and_logs_no_errors(page, file, field):
     assert scene_page(field, texts=["dark red crate"]) == file.read_text("utf-8")
 
 
-def test_names_are_shown_as_text(browser, field, tmp_path):
+def test_page_shows_names_as_text(browser, field, tmp_path):
     id_ = field.inventory()[0].id
     named = field.named(id_, MARKUP.replace("\u2028", ""))
     (tmp_path / "a.html").write_text(
@@ -298,7 +298,7 @@ def test_names_are_shown_as_text(browser, field, tmp_path):
         assert tab.complaints == []
 
 
-def test_removed_objects_are_absent_from_the_file(browser, field, camera, view, tmp_path):
+def test_page_omits_removed_objects(browser, field, camera, view, tmp_path):
     (ball, _), *_ = view.query("ball").objects
     edited = field.without([ball])
     (tmp_path / "a.html").write_text(scene_page(edited), "utf-8")
