@@ -13,7 +13,6 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from small_clip import SIDE, WIDTH, clip_model, save_clip, save_tokenizer
 
-from slgaussian.components.pretrained import model_digest, tokenizer_digest
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.clip import MEAN, STD, region_crop
@@ -251,18 +250,6 @@ def test_old_configuration_with_end_token_2_encodes_equally(folder, clip, tmp_pa
     (tmp_path / "model" / "config.json").write_text(json.dumps(config))
     actual = load_encoder("clip", model=tmp_path / "model").encode_text(TEXTS)
     assert np.array_equal(actual, clip.encode_text(TEXTS))
-
-
-def test_model_digest_depends_on_the_files_in_use(folder, tmp_path):
-    digest = model_digest(folder)
-    copy = shutil.copytree(folder, tmp_path / "copy")
-    (copy / "README.md").write_text("about")
-    assert model_digest(copy) == digest
-    assert tokenizer_digest(copy) == tokenizer_digest(folder) != digest
-    merges = (copy / "merges.txt").read_text("utf-8")
-    (copy / "merges.txt").write_text(merges + "b l\n", "utf-8")
-    assert model_digest(copy) != digest
-    assert tokenizer_digest(copy) != tokenizer_digest(folder)
 
 
 def test_load_encoder_finds_a_hub_name_in_the_cache(folder, clip, tmp_path, monkeypatch):

@@ -110,17 +110,6 @@ def test_rules_raise_input_error_out_of_range(rules, sentence):
         Rules(**rules)
 
 
-def test_ask_answers_many_texts_as_each_alone(scene, lexicon):
-    ids, bank = scene
-    texts = ["red ball", "blue", "striped", "red ball", "yellow", "green box"]
-    many = ask(texts, ObjectMap(ids, bank.ids), BankReader(bank, lexicon), Rules())
-    for text, hit in zip(texts, many, strict=True):
-        alone = find(text, ids, bank, lexicon)
-        assert (hit.text, hit.point, hit.objects) == (text, alone.point, alone.objects)
-        np.testing.assert_array_equal(hit.mask, alone.mask)
-        np.testing.assert_array_equal(hit.relevancy, alone.relevancy)
-
-
 def test_share_bounds_the_gap_of_selected_objects(scene, lexicon):
     ids, bank = scene
     actual = [
