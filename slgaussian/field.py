@@ -335,7 +335,7 @@ class SemanticField:
             )
         return self._edit(removed=self.edits.removed - restored)
 
-    def drop_removed(self) -> SemanticField:
+    def drop_hidden(self) -> SemanticField:
         """Return the field without the Gaussians of removed objects, which is not reversible."""
         return self.changed(gaussians=self.visible)
 

@@ -213,7 +213,7 @@ def test_edit_of_an_absent_object_raises_input_error(field, edit):
 
 def test_restore_raises_input_error_without_gaussians(field):
     dropped = field.without([YELLOW])
-    dropped = dropped.drop_removed()
+    dropped = dropped.drop_hidden()
     assert dropped.render(field.cameras["a"]).unknown.any()
     with pytest.raises(InputError, match="object 11: its Gaussians are not in this field"):
         dropped.restore([YELLOW])

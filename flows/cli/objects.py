@@ -142,7 +142,7 @@ def teach(
     taught = opened.teach(word, id_)
     taught.save_edits(field)
     typer.echo(f"{word!r} is object {id_}\nexamples  {taught.edits.taught.examples(word)}")
-    typer.echo(f"it means  {_listed(taught.find(word))}")
+    typer.echo(f"it means  {_format_hits(taught.find(word))}")
 
 
 @objects.command()
@@ -201,10 +201,10 @@ def remove(
     for text, objects in hits.items():
         ids = {id_ for id_, _ in objects} - removed
         removed |= ids
-        meaning = f"objects {_listed(objects)}" if objects else "nothing found"
+        meaning = f"objects {_format_hits(objects)}" if objects else "nothing found"
         typer.echo(f"{text!r}: {meaning}, {np.isin(labels, list(ids)).sum():,} Gaussians")
     if removed:
-        opened.without(removed).drop_removed().save(out)
+        opened.without(removed).drop_hidden().save(out)
         typer.echo(out)
     raise typer.Exit(0 if all(hits.values()) else 3)
 
@@ -235,7 +235,7 @@ def extract(
         check_target(out)
     rules, opened = open_field(field, ctx)
     hits = find_objects(opened, text, rules)
-    extracted = opened.drop_removed().only(id_ for id_, _ in hits)
+    extracted = opened.drop_hidden().only(id_ for id_, _ in hits)
     if not len(extracted.gaussians):
         typer.echo(f"nothing found for {text!r}, so nothing is written")
         raise typer.Exit(3)
@@ -243,7 +243,7 @@ def extract(
         save_ply(extracted.gaussians, out, extracted.labels())
     else:
         extracted.save(out)
-    typer.echo(f"objects  {_listed(hits)}\n{len(extracted.gaussians):,} Gaussians  {out}")
+    typer.echo(f"objects  {_format_hits(hits)}\n{len(extracted.gaussians):,} Gaussians  {out}")
 
 
 def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
@@ -270,7 +270,7 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     return field.find(text, **rules) if answer.shown else ()
 
 
-def _listed(hits: Hits) -> str:
+def _format_hits(hits: Hits) -> str:
     return ", ".join(f"{id_} ({score:.3f})" for id_, score in hits)
 
 

@@ -246,7 +246,7 @@ def ask(
         gaps = np.where(among, gaps, -np.inf)
     chosen = choose(texts, gaps, image.areas, reader, rules)
     visible = np.flatnonzero(image.areas)
-    uncalibrated = _name_uncalibrated(reader.encoder, rules)
+    uncalibrated = _missing_calibration(reader.encoder, rules)
     calibration = None if uncalibrated else reader.encoder.calibration
     answers = []
     for text, gap, choice in zip(texts, gaps, chosen, strict=True):
@@ -308,7 +308,7 @@ def choose(
         return above
     best = gaps.max(1, where=areas > 0, initial=-np.inf, keepdims=True)
     chosen = near_best(gaps, best, rules.share)
-    ranking = None if _name_uncalibrated(reader.encoder, rules) else reader.encoder.ranking
+    ranking = None if _missing_calibration(reader.encoder, rules) else reader.encoder.ranking
     known = [k for k, text in enumerate(texts) if reader.source(text) == "known"]
     if known and reader.bank.wholes and ranking:
         found = find_candidates([texts[k] for k in known], gaps[known], areas, reader, rules)
@@ -326,7 +326,7 @@ def find_candidates(
     return reader.bank.wholes.candidates(plain, evidence, areas, rules.share)
 
 
-def _name_uncalibrated(encoder: Encoder, rules: Rules) -> str:
+def _missing_calibration(encoder: Encoder, rules: Rules) -> str:
     """Name the setting without a calibration; empty if answers are calibrated."""
     if encoder.calibration is None:
         return f"the encoder {encoder.name}"

@@ -45,7 +45,7 @@ MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.2757
 """CLIP's mean and standard deviation of RGB in [0, 1]; the files of a model may override them."""
 
 
-def _converted(files: ModelFiles) -> Any:
+def _convert(files: ModelFiles) -> Any:
     from slgaussian.language.open_clip import load_open_clip
 
     return load_open_clip(files)
@@ -71,7 +71,7 @@ class Clip(ClipConfig, Encoder):
             model; also as :func:`slgaussian.components.pretrained.load_pretrained`.
     """
 
-    FAMILY: ClassVar[Family] = Family("clip", "CLIPModel", ("clip",), CLIP, _converted)
+    FAMILY: ClassVar[Family] = Family("clip", "CLIPModel", ("clip",), CLIP, _convert)
     name: ClassVar[str] = "clip"
     canonical: ClassVar[tuple[str, ...]] = ("object", "things", "stuff", "texture")
 

@@ -60,7 +60,7 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
             group=len(kernel) if kernel.shape[1] == 1 else 1,
         )
 
-    def normalised(x: str, name: str, norm: str, stride: int = 1, clip: bool = True) -> str:
+    def normalize(x: str, name: str, norm: str, stride: int = 1, clip: bool = True) -> str:
         scale = weights[f"{norm}.weight"] / np.sqrt(weights[f"{norm}.running_var"] + EPSILON)
         bias = weights[f"{norm}.bias"] - weights[f"{norm}.running_mean"] * scale
         kernel = weights[f"{name}.weight"] * scale[:, None, None, None]
@@ -68,7 +68,7 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
         # OpenCV's own operator: it is fused into the convolution, unlike ONNX's Clip.
         return add("ReLU6", y, min_value=0.0, max_value=6.0) if clip else y
 
-    x = normalised("image", "_conv_stem", "_bn0", 2)
+    x = normalize("image", "_conv_stem", "_bn0", 2)
     blocks = (
         (stride if repeat == 0 else 1, expansion, repeat > 0)
         for repeats, stride, expansion in STAGES
@@ -76,11 +76,11 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
     )
     for number, (stride, expansion, skips) in enumerate(blocks):
         block = f"_blocks.{number}."
-        y = normalised(x, f"{block}_expand_conv", f"{block}_bn0") if expansion > 1 else x
-        y = normalised(y, f"{block}_depthwise_conv", f"{block}_bn1", stride)
-        y = normalised(y, f"{block}_project_conv", f"{block}_bn2", clip=False)
+        y = normalize(x, f"{block}_expand_conv", f"{block}_bn0") if expansion > 1 else x
+        y = normalize(y, f"{block}_depthwise_conv", f"{block}_bn1", stride)
+        y = normalize(y, f"{block}_project_conv", f"{block}_bn2", clip=False)
         x = add("Add", x, y) if skips else y
-    x = normalised(x, "_conv_head", "_bn1")
+    x = normalize(x, "_conv_head", "_bn1")
     x = add("AveragePool", x, kernel_shape=(3, 3), pads=(1, 1, 1, 1), count_include_pad=0)
     x = convolve(x, "_fc", weights["_fc.weight"][:, :, None, None], weights["_fc.bias"])
     graph = _message(

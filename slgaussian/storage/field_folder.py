@@ -91,7 +91,7 @@ class About:
                 stated = "none" if version is None else repr(version)[:40]
                 maker_text = f", made by {maker:.60}" if isinstance(maker, str) else ""
                 raise mismatch(file, "format", f"{stated}{maker_text}", f"{FORMAT}; {REPAIR}")
-            cameras = {name: _camera_of(values) for name, values in content["cameras"].items()}
+            cameras = {name: _parse_camera(values) for name, values in content["cameras"].items()}
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()
             if not all(isinstance(place, str) for place in places.values()):
@@ -111,7 +111,7 @@ def _camera_json(camera: Camera) -> dict[str, Any]:
     return values if estimated is None else {**values, "estimated": asdict(estimated)}
 
 
-def _camera_of(values: Mapping[str, Any]) -> Camera:
+def _parse_camera(values: Mapping[str, Any]) -> Camera:
     arrays: dict[str, Any] = {name: np.array(values[name]) for name in ("K", "c2w")}
     if values.get("estimated") is not None:
         arrays["estimated"] = Estimated.of(values["estimated"])

@@ -157,7 +157,7 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
     """
     lock = threading.Lock()
 
-    def locked(call: Call, data: bytes) -> dict[str, Any]:
+    def call_locking(call: Call, data: bytes) -> dict[str, Any]:
         try:
             values = strict_json.parse(data)
         except ValueError:
@@ -180,7 +180,7 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
                     {"error": f"found more than {MAX_BODY_BYTES} bytes"}, 413, HEADERS
                 )
         try:
-            return JSONResponse(await run_in_threadpool(locked, call, body), headers=HEADERS)
+            return JSONResponse(await run_in_threadpool(call_locking, call, body), headers=HEADERS)
         except SLGaussianError as error:
             return JSONResponse({"error": str(error)}, 400, HEADERS)
 

@@ -77,7 +77,7 @@ def scene_page(
     pictures |= {name: looks[name].rgb for name in drawn_views}
     things = [thing for thing in field.inventory() if thing.gaussians]
     ids = [thing.id for thing in things]
-    field = field.drop_removed()
+    field = field.drop_hidden()
     labels = field.labels()
     numbers = np.zeros(len(labels), np.int64)
     if ids:
