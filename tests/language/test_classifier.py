@@ -10,7 +10,7 @@ from torch.nn import functional as F
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
 from slgaussian.language import classifier, configs
-from slgaussian.language.classifier import LOG_STEP, evidence, quantised
+from slgaussian.language.classifier import LOG_STEP, evidence, quantize
 from slgaussian.language.vocabulary import noun_classes
 
 needs_weights = pytest.mark.skipif(
@@ -37,7 +37,7 @@ def test_pool_averages_cells_over_regions():
 def test_evidence_is_the_log_ratio_of_class_probabilities():
     rng = np.random.default_rng(1)
     regions, photographs = rng.uniform(-9, -1, (2, 3, 1000)), rng.uniform(-9, -1, (3, 1000))
-    stored = quantised(regions), quantised(photographs)
+    stored = quantize(regions), quantize(photographs)
     lead = evidence(*stored, (4, 9))
     sums = [np.exp(x[..., [4, 9]]).sum(-1) for x in (regions, photographs)]
     assert lead.shape == (2, 3)
