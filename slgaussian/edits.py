@@ -16,6 +16,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
 from slgaussian.language.taught import TaughtWords, normalize
 from slgaussian.storage.encoding import Arrays, decode_arrays, encode_artifact
+from slgaussian.storage.field_folder import read_content
 from slgaussian.storage.specs import load_spec
 
 FILES = {"words": "words.npz", "edits": "edits.npz"}
@@ -123,11 +124,7 @@ class Edits:
 
 def _read(folder: Path, spec: str) -> Arrays | None:
     """Read a file of edits; None if there is none."""
-    file = folder / FILES[spec]
+    file, repair = folder / FILES[spec], REPAIR[spec]
     if not file.is_file():
         return None
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise SpecError(f"{file}: cannot be read ({error.strerror})") from error
-    return decode_arrays(data, load_spec(spec), str(file), repair=REPAIR[spec])
+    return decode_arrays(read_content(file, repair), load_spec(spec), str(file), repair)
