@@ -359,7 +359,7 @@ class SemanticField:
         hidden = np.isin(self.labels(), ids)
         if not hidden.any():
             return hidden
-        views = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
+        views: np.ndarray = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
         cameras = {name: c for (name, c), v in zip(self.cameras.items(), views, strict=True) if v}
         for name in cameras.keys() - self._whole_views.keys():
             view = self._edit(removed=frozenset()).render(cameras[name])

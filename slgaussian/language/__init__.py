@@ -114,7 +114,7 @@ class Encoder(ABC):
 
     @property
     def classifies(self) -> bool:
-        """Whether :meth:`class_scores` can be called; by default not."""
+        """True if :meth:`class_scores` can be called; by default False."""
         return False
 
     @property
