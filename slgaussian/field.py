@@ -359,8 +359,8 @@ class SemanticField:
         hidden = np.isin(self.labels(), ids)
         if not hidden.any():
             return hidden
-        views: np.ndarray = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
-        cameras = {name: c for (name, c), v in zip(self.cameras.items(), views, strict=True) if v}
+        views = np.flatnonzero(self.bank.present[np.isin(self.bank.ids, ids)].any(0))
+        cameras = {name: c for i, (name, c) in enumerate(self.cameras.items()) if i in views}
         for name in cameras.keys() - self._whole_views.keys():
             view = self._edit(removed=frozenset()).render(cameras[name])
             self._whole_views[name] = view.ids, view.depth
