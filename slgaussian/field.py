@@ -12,19 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slgaussian import edits
 from slgaussian.components.component import Component
+from slgaussian.edits import Edits
 from slgaussian.errors import InputError, SpecError, check_type
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short, short_repr
 from slgaussian.labels import MIN_WEIGHT
 from slgaussian.language import Encoder
+from slgaussian.language.answer import QueryResult, ask, segment
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import QueryResult, ask, find, segment
-from slgaussian.language.reader import BankReader
 from slgaussian.language.rules import Rules
-from slgaussian.language.taught import TaughtWords, encoder_identity, normal
+from slgaussian.language.scoring import BankReader
+from slgaussian.language.taught import TaughtWords, encoder_identity
+from slgaussian.language.wholes import MIN_PIXELS
 from slgaussian.scene import Camera
 from slgaussian.semantic.boundary_gaussians import boundary_gaussians
 from slgaussian.storage import field_folder
@@ -83,7 +84,7 @@ class FieldView:
         """bool [H, W]: pixels without Gaussians.
 
         They are behind removed objects and outside the photographs. They are not inpainted; after
-        a removal ``rgb`` has the pattern of :func:`hatched` there.
+        a removal ``rgb`` has a pattern of stripes there.
         """
         return self.alpha < MIN_WEIGHT
 
@@ -109,9 +110,11 @@ class FieldView:
         ``mask``, bool [H, W], selects the object in the picture; by default it is the whole one.
         """
         check_type(image, np.ndarray, "like: expected a picture, uint8 [H, W, 3]")
-        (text,) = words = self.field.picture_words(image, mask)
-        reader = BankReader(self.field.bank, self.field.encoder, words)
-        answer = ask([text], self._objects, reader, Rules(**rules))[0]
+        encoder, (_, features) = self.field.encoder, self.field.bank.mean_features()
+        example, word = encode_picture(encoder, image, mask), "the picture"
+        taught = TaughtWords().add_example(word, example, features, encoder.name)
+        reader = BankReader(self.field.bank, encoder, taught)
+        answer = ask([word], self._objects, reader, Rules(**rules))[0]
         return replace(answer, understood=replace(answer.understood, kind="picture", instead_of=""))
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
@@ -134,11 +137,7 @@ class SemanticField:
             artifact. Files are identified by their content.
         places: {setting: path or name on the hub}. Location of the encoder's files, such as its
             ``model``, which are not part of the field.
-        taught: Words taught by example; in queries they take precedence over the encoder.
-        names: {id: str}. Names of objects given by the user. In a query a name matches exactly
-            these objects, and takes precedence over taught words and the encoder.
-        removed: frozenset of int. Ids of objects that are neither rendered nor found. Their
-            Gaussians remain, so that they can be restored.
+        edits: Words, names and removals of the user.
     """
 
     gaussians: Gaussians
@@ -146,17 +145,14 @@ class SemanticField:
     cameras: Mapping[str, Camera]
     settings: Mapping[str, Any]
     places: Mapping[str, str] = field(default_factory=dict)
-    taught: TaughtWords = field(default_factory=TaughtWords)
-    names: Mapping[int, str] = field(default_factory=dict)
-    removed: frozenset[int] = frozenset()
+    edits: Edits = field(default_factory=Edits)
 
     def __repr__(self) -> str:
         scene, encoder = (self.settings.get(name) for name in ("scene", "encoder"))
-        of = "" if scene is None else f"{scene!r}: "
+        title = "" if scene is None else f"{scene!r}: "
         sizes = f"{len(self.gaussians)} Gaussians, {len(self.bank)} objects"
-        return (
-            f"SemanticField({of}{sizes}, views {short(tuple(self.cameras))}, encoder {encoder!r})"
-        )
+        views = short(tuple(self.cameras))
+        return f"SemanticField({title}{sizes}, views {views}, encoder {encoder!r})"
 
     @cached_property
     def encoder(self) -> Encoder:
@@ -166,22 +162,30 @@ class SemanticField:
             InputError: If one of its files is missing from ``places`` or has another content.
             SpecError: If its vectors have another dimension than those of the bank.
         """
-        part = Component.stored("encoder", self.settings, self.places)
-        _check_places(part)
-        encoder: Encoder = part.load(
+        component = Component.stored("encoder", self.settings, self.places)
+        for key, file in component.files.items():
+            place = file.place
+            if not place or (os.path.isabs(place) and not os.path.exists(place)):
+                moved = f" and is no longer at {place}" if place else ""
+                raise InputError(
+                    f"the field's encoder {component.name!r} needs its {key}, which is not stored "
+                    f"with a field{moved}; say where it is, as in --set {component.name}.{key}="
+                    f"PLACE or SemanticField.load(..., encoder={{'{key}': PLACE}})"
+                )
+        encoder: Encoder = component.load(
             "is not what the field was built with; give that one, or build the field with it"
         )
         if self.bank.features.shape[2] != encoder.encode_text(encoder.canonical).shape[1]:
             raise SpecError(
-                f"memory bank: made by another version of the encoder {part.name!r}; build the "
-                "field again"
+                f"memory bank: made by another version of the encoder {component.name!r}; build "
+                "the field again"
             )
         return encoder
 
     @cached_property
     def reader(self) -> BankReader:
         """Reader that scores texts against the objects of the bank."""
-        return BankReader(self.bank, self.encoder, self.taught, self.names)
+        return BankReader(self.bank, self.encoder, self.edits.taught, self.edits.names)
 
     def query(self, text: str, camera: Camera | None = None, **rules: Any) -> QueryResult:
         """Find ``text`` in the view of a camera, by default that of the first context view.
@@ -196,16 +200,17 @@ class SemanticField:
 
         ``rules`` as in :meth:`FieldView.query`.
         """
-        remaining = ~np.isin(self.bank.ids, list(self.removed))
-        return find(text, self.reader, Rules(**rules), remaining)
+        remaining = ~np.isin(self.bank.ids, list(self.edits.removed))
+        # As in an image that shows enough of each.
+        image = ObjectMap(self.bank.ids[None], self.bank.ids, MIN_PIXELS * remaining)
+        return ask([text], image, self.reader, Rules(**rules), remaining)[0].objects
 
     def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[SceneObject]:
         """List every object with its best words, position and size, by id.
 
         Args:
             texts: sequence of str, optional. Texts that describe objects, in addition to taught
-                words. By default colours and nouns of the encoder ``lexicon``, or common objects
-                for other encoders.
+                words. By default :attr:`slgaussian.language.Encoder.describing`.
             rules: As in :meth:`FieldView.query`; they affect only the relevancies.
 
         Raises:
@@ -222,14 +227,14 @@ class SemanticField:
 
         Arguments as for :meth:`inventory`.
         """
-        from slgaussian.objects import MAX_DESCRIBING_WORDS, words_for
+        from slgaussian.objects import MAX_DESCRIBING_WORDS
 
-        words = list(dict.fromkeys([*self.taught, *(texts or words_for(self.encoder))]))
+        words = list(dict.fromkeys([*self.edits.taught, *(texts or self.encoder.describing)]))
         relevancies = self.reader.relevancies(words, Rules(**rules)).T
         best = np.argsort(-relevancies, axis=1, kind="stable")[:, :MAX_DESCRIBING_WORDS]
         return [
-            tuple((words[k], float(of_object[k])) for k in rows)
-            for of_object, rows in zip(relevancies, best, strict=True)
+            tuple((words[k], float(scores[k])) for k in rows)
+            for scores, rows in zip(relevancies, best, strict=True)
         ]
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
@@ -240,9 +245,12 @@ class SemanticField:
         check_type(camera, Camera, "render: expected a Camera, such as sample.context[0].camera")
         image = self._picture(camera, backend)
         ids, confidence = self._decoder(image.values[..., 3:])
-        rgb = shown(image.values[..., :3], image.alpha)
-        if self.removed:
-            rgb = hatched(rgb, image.alpha < MIN_WEIGHT)
+        rgb = mean_colour(image.values[..., :3], image.alpha)
+        if self.edits.removed:
+            stripe = np.indices(rgb.shape[:2]).sum(0) // HATCH_WIDTH % 2
+            rgb = np.where(
+                (image.alpha < MIN_WEIGHT)[..., None], HATCH_GREYS[stripe][..., None], rgb
+            )
         return FieldView(rgb, ids, confidence, image.alpha, image.depth, self, camera)
 
     def render_codes(self, camera: Camera, backend: str = "auto") -> np.ndarray:
@@ -256,7 +264,7 @@ class SemanticField:
         """Render colours, codes and their weight, as arrays on the CPU."""
         from slgaussian.rasterize.picture import Picture, picture, seen_colors
 
-        gaussians = self.drawn
+        gaussians = self.visible
         if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
             values, features = seen_colors(gaussians, camera), gaussians.to_arrays()["features"]
             return picture(gaussians, np.concatenate([values, features], 1), camera)
@@ -275,11 +283,14 @@ class SemanticField:
         if result.gaussians is self.gaussians and result.bank is self.bank:
             valid |= {"_decoder", "_labels"}
             if result.cameras is self.cameras:
-                valid |= {"_whole"}
-                if result.removed == self.removed:
-                    valid |= {"gone", "drawn"}
+                valid |= {"_whole_views"}
+                if result.edits.removed == self.edits.removed:
+                    valid |= {"hidden", "visible"}
         result.__dict__.update({name: self.__dict__[name] for name in valid & self.__dict__.keys()})
         return result
+
+    def _edit(self, **edits: Any) -> SemanticField:
+        return self.changed(edits=replace(self.edits, **edits))
 
     def teach(self, word: str, object_id: int) -> SemanticField:
         """Return the field with an object as an example of ``word``.
@@ -289,35 +300,29 @@ class SemanticField:
         Raises:
             InputError: If there is no such object, or the word is empty or too long.
         """
-        feature, rivals = self._features(object_id)
-        identity = encoder_identity(self.settings)
-        return self.changed(taught=self.taught.with_example(word, feature, rivals, identity))
+        row, (rows, features) = self.bank.row(object_id), self.bank.mean_features()
+        if row not in rows:
+            raise InputError(f"object {object_id}: no view holds it, so it is like nothing")
+        lesson = features[rows == row][0], features[rows != row], encoder_identity(self.settings)
+        return self._edit(taught=self.edits.taught.add_example(word, *lesson))
 
     def forget(self, word: str) -> SemanticField:
         """Return the field without a taught word; InputError if it is not taught."""
-        return self.changed(taught=self.taught.without(word))
+        return self._edit(taught=self.edits.taught.remove(word))
 
     def named(self, object_id: int, name: str) -> SemanticField:
         """Return the field with a name for an object; an empty name deletes it.
 
         InputError if there is no such object, or the name is too long.
         """
-        self._row(object_id)
-        names = {id_: name_ for id_, name_ in self.names.items() if id_ != object_id}
-        if plain := " ".join(name.split()):
-            normal(plain)
-            names[int(object_id)] = plain
-        return self.changed(names=names)
+        self.bank.row(object_id)
+        return self.changed(edits=self.edits.rename(object_id, name))
 
     def without(self, ids: Iterable[int]) -> SemanticField:
         """Return the field with these objects removed; InputError if one does not exist."""
-        return self.changed(removed=self.removed | self._check_ids(ids))
+        return self._edit(removed=self.edits.removed | self._check_ids(ids))
 
-    def dropped(self) -> SemanticField:
-        """Return the field without the Gaussians of removed objects, which is not reversible."""
-        return self.changed(gaussians=self.drawn)
-
-    def restored(self, ids: Iterable[int]) -> SemanticField:
+    def restore(self, ids: Iterable[int]) -> SemanticField:
         """Return the field with these objects restored.
 
         InputError if one does not exist, or its Gaussians are no longer in the field.
@@ -328,96 +333,45 @@ class SemanticField:
                 f"object {min(missing)}: its Gaussians are not in this field; open the one that it "
                 "was removed from"
             )
-        return self.changed(removed=self.removed - restored)
+        return self._edit(removed=self.edits.removed - restored)
+
+    def drop_hidden(self) -> SemanticField:
+        """Return the field without the Gaussians of removed objects, which is not reversible."""
+        return self.changed(gaussians=self.visible)
 
     def only(self, ids: Iterable[int]) -> SemanticField:
         """Return the field with only the Gaussians of these objects; InputError if one is none."""
         chosen = np.isin(self.labels(), list(self._check_ids(ids)))
         return self.changed(gaussians=self.gaussians[chosen])
 
-    def picture_words(self, image: np.ndarray, mask: np.ndarray | None = None) -> TaughtWords:
-        """Make one word with a picture uint8 [H, W, 3] of an object as its only example.
-
-        ``mask``, bool [H, W], as in :meth:`FieldView.like`.
-        """
-        region, size = np.ones(image.shape[:2], bool) if mask is None else mask, image.shape[:2]
-        if image.dtype != np.uint8 or image.shape != (*size, 3):
-            raise InputError(
-                f"picture: found {image.dtype} {image.shape}, expected uint8 [H, W, 3]"
-            )
-        if region.dtype != bool or region.shape != size:
-            raise InputError(
-                f"picture: its mask is {region.dtype} {region.shape}, expected bool {size}"
-            )
-        if not region.any():
-            raise InputError("picture: its mask is empty; give one that shows a thing")
-        rows, columns = (np.flatnonzero(region.any(axis)) for axis in (1, 0))
-        frame = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        image, region = np.ascontiguousarray(image[frame]), region[frame]
-        feature = self.encoder.encode_regions(image, region[None])[0]
-        identity = encoder_identity(self.settings)
-        return TaughtWords().with_example("the picture", feature, self._unit_means, identity)
-
-    def _features(self, object_id: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean unit features of an object [C], and of all other visible ones [R, C]."""
-        row = self._row(object_id)
-        if not self.bank.present[row].any():
-            raise InputError(f"object {object_id}: no view holds it, so it is like nothing")
-        is_object = self._present_rows == row
-        return self._unit_means[is_object][0], self._unit_means[~is_object]
-
-    @property
-    def _present_rows(self) -> np.ndarray:
-        """Rows of the bank that some view shows."""
-        return np.flatnonzero(self.bank.present.any(1))
-
-    @property
-    def _unit_means(self) -> np.ndarray:
-        """Mean unit features of the objects in :attr:`_present_rows` over their views, [R, C]."""
-        features, present = self.bank.features, self.bank.present
-        rows = [features[r, present[r]].mean(0, dtype=np.float64) for r in self._present_rows]
-        units = [(mean / np.linalg.norm(mean)).astype(np.float32) for mean in rows]
-        return np.array(units, np.float32).reshape(-1, features.shape[2])
-
-    def _row(self, object_id: int) -> int:
-        row = int(np.searchsorted(self.bank.ids, object_id))
-        if row == len(self.bank) or self.bank.ids[row] != object_id:
-            raise InputError(
-                f"object {object_id}: is not in the field, which has {len(self.bank)} objects; "
-                "`slgaussian objects list` has them"
-            )
-        return row
-
     def _check_ids(self, ids: Iterable[int]) -> frozenset[int]:
-        return frozenset(int(self.bank.ids[self._row(id_)]) for id_ in ids)
+        return frozenset(int(self.bank.ids[self.bank.row(id_)]) for id_ in ids)
 
     @cached_property
-    def drawn(self) -> Gaussians:
-        """The Gaussians without those that are :attr:`gone`."""
-        if not self.gone.any():
-            return self.gaussians
-        return self.gaussians[~self.gone]
+    def visible(self) -> Gaussians:
+        """The Gaussians without those that are :attr:`hidden`."""
+        return self.gaussians[~self.hidden] if self.hidden.any() else self.gaussians
 
     @cached_property
-    def gone(self) -> np.ndarray:
+    def hidden(self) -> np.ndarray:
         """bool [N]: the Gaussians of removed objects and along their boundaries."""
-        ids = list(self.removed)
-        gone = np.isin(self.labels(), ids)
-        if not gone.any():
-            return gone
+        ids = list(self.edits.removed)
+        hidden = np.isin(self.labels(), ids)
+        if not hidden.any():
+            return hidden
         views = np.flatnonzero(self.bank.present[np.isin(self.bank.ids, ids)].any(0))
         cameras = {name: c for i, (name, c) in enumerate(self.cameras.items()) if i in views}
-        for name in cameras.keys() - self._whole.keys():
-            view = self.changed(removed=frozenset()).render(cameras[name])
-            self._whole[name] = view.ids, view.depth
-        depths = [self._whole[name][1] for name in cameras]
-        masks = [np.isin(self._whole[name][0], ids) for name in cameras]
+        for name in cameras.keys() - self._whole_views.keys():
+            view = self._edit(removed=frozenset()).render(cameras[name])
+            self._whole_views[name] = view.ids, view.depth
+        depths = [self._whole_views[name][1] for name in cameras]
+        masks = [np.isin(self._whole_views[name][0], ids) for name in cameras]
         means = self.gaussians.to_arrays()["means"]
         local_cameras = [self.gaussians.localize(camera) for camera in cameras.values()]
-        return gone | boundary_gaussians(means, gone, local_cameras, depths, masks)
+        return hidden | boundary_gaussians(means, hidden, local_cameras, depths, masks)
 
     @cached_property
-    def _whole(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def _whole_views(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Ids and depth of context views with all objects: fields with other edits share them."""
         return {}
 
@@ -488,7 +442,7 @@ class SemanticField:
             Path(path),
             about.to_json(self.places),
             lambda spec, file: file.write_bytes(files[spec][1]),
-            {**(beside or {}), **self._edits()},
+            {**(beside or {}), **self.edits.to_files()},
         )
 
     def save_edits(self, path: str | Path) -> None:
@@ -501,10 +455,7 @@ class SemanticField:
         about, _ = field_folder.read_about(Path(path))
         if about.digests["bank"] != arrays_digest(self.bank.to_arrays()):
             raise InputError(f"{path}: is the folder of another field; save this one as a whole")
-        edits.write(Path(path), self._edits())
-
-    def _edits(self) -> dict[str, bytes]:
-        return edits.files(self.taught, self.names, self.removed)
+        self.edits.write(Path(path))
 
     @staticmethod
     def load(path: str | Path, encoder: Mapping[str, str | Path] | None = None) -> SemanticField:
@@ -531,7 +482,7 @@ class SemanticField:
         except InputError as error:
             raise SpecError(f"{path}{os.sep}{error}; {field_folder.REPAIR}") from error
         identity = encoder_identity(about.settings)
-        loaded = replace(built, **edits.read(path, identity, built.bank.ids))
+        loaded = replace(built, edits=Edits.read(path, identity, built.bank.ids))
         try:
             if not Component.stored("encoder", about.settings).files:
                 loaded.encoder  # noqa: B018  (checked at once if it needs no files)
@@ -561,7 +512,7 @@ class SemanticField:
         return SemanticField(gaussians, bank, about.cameras, about.settings, places or {})
 
 
-def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+def mean_colour(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Convert composited colours float [H, W, 3] and ``alpha`` [H, W] to uint8 [H, W, 3].
 
     Computes the mean colour, faded to black where ``alpha`` is below :data:`MIN_WEIGHT`.
@@ -570,25 +521,24 @@ def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
 
 
-def hatched(rgb: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Fill the pixels ``where`` bool [H, W] of a picture uint8 [H, W, 3] with diagonal stripes.
+def encode_picture(encoder: Encoder, image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """Encode the object in a picture; arguments as for :meth:`FieldView.like`.
 
-    The stripes cannot be mistaken for a surface: they have one width, and do not move with the
-    camera.
+    Returns:
+        float32 [C]. A unit vector.
+
+    Raises:
+        InputError: If picture or mask have another shape or type, or the mask is empty.
     """
-    height, width = where.shape
-    stripe = (np.add.outer(np.arange(height), np.arange(width)) // HATCH_WIDTH) % 2
-    return np.where(where[..., None], HATCH_GREYS[stripe][..., None], rgb)
-
-
-def _check_places(encoder: Component) -> None:
-    """Raise InputError if a file of the encoder has no known location, or no longer exists."""
-    for key, file in encoder.files.items():
-        place = file.place
-        if not place or (os.path.isabs(place) and not os.path.exists(place)):
-            moved = f" and is no longer at {place}" if place else ""
-            raise InputError(
-                f"the field's encoder {encoder.name!r} needs its {key}, which is not stored with a "
-                f"field{moved}; say where it is, as in --set {encoder.name}.{key}=PLACE or "
-                f"SemanticField.load(..., encoder={{'{key}': PLACE}})"
-            )
+    region, size = np.ones(image.shape[:2], bool) if mask is None else mask, image.shape[:2]
+    if image.dtype != np.uint8 or image.shape != (*size, 3):
+        raise InputError(f"picture: found {image.dtype} {image.shape}, expected uint8 [H, W, 3]")
+    if region.dtype != bool or region.shape != size:
+        raise InputError(
+            f"picture: its mask is {region.dtype} {region.shape}, expected bool {size}"
+        )
+    if not region.any():
+        raise InputError("picture: its mask is empty; give one that shows a thing")
+    rows, columns = (np.flatnonzero(region.any(axis)) for axis in (1, 0))
+    frame = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return encoder.encode_regions(np.ascontiguousarray(image[frame]), region[frame][None])[0]

@@ -11,17 +11,13 @@ import numpy as np
 from slgaussian.geometry.boxes import Box, upright_box
 from slgaussian.geometry.room import find_room
 from slgaussian.io import short_repr
-from slgaussian.language import Encoder
-from slgaussian.language.lexicon import Lexicon
-from slgaussian.language.vocabulary import load_vocabulary
+from slgaussian.language import COMMON_OBJECTS
+from slgaussian.language.answer import ask
+from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.rules import Rules
 
 if TYPE_CHECKING:
     from slgaussian.field import SemanticField
-
-COMMON_OBJECTS = (
-    "floor", "wall", "table", "chair", "sofa", "door", "window", "plant", "box", "book",
-)  # fmt: skip
-"""Texts for encoders without a vocabulary of their own."""
 
 MAX_DESCRIBING_WORDS = 3
 """Number of words that describe an object."""
@@ -86,13 +82,13 @@ def list_objects(
     estimated = any(camera.estimated for camera in cameras)
     objects = []
     for row, id_ in enumerate(bank.ids.tolist()):
-        if id_ in field.removed:
+        if id_ in field.edits.removed:
             continue
         members = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
         objects.append(
             SceneObject(
                 id=id_,
-                name=field.names.get(id_),
+                name=field.edits.names.get(id_),
                 words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
                 gaussians=len(members),
@@ -109,12 +105,18 @@ def _box(means: np.ndarray, up: np.ndarray, origin: np.ndarray) -> Box:
     return replace(box, centre=box.centre + origin)
 
 
-def words_for(encoder: Encoder) -> tuple[str, ...]:
-    """Return the texts that describe objects: the lexicon's colours and its nouns for naming.
+def suggest_word(field: SemanticField) -> str | None:
+    """Choose the common object whose query in the first view is most confident; None if none is.
 
-    For other encoders they are the names of some common objects.
+    Nothing is rendered: the memory bank has the areas of the objects in the photograph, and which
+    of them touch in any view.
     """
-    if not isinstance(encoder, Lexicon):
-        return COMMON_OBJECTS
-    vocabulary = load_vocabulary()
-    return tuple(sorted([*vocabulary.colours, *vocabulary.naming]))
+    ids, wholes = field.bank.ids, field.bank.wholes
+    if field.encoder.calibration is None or wholes is None or not len(wholes.borders):
+        return None
+    camera = next(iter(field.cameras.values()))
+    areas = np.rint(wholes.shares[:, 0] * camera.width * camera.height).astype(int)
+    pairs = np.kron(ids[wholes.borders.T], [[1, 0]])  # a column for each pair that touches
+    hits = ask(COMMON_OBJECTS, ObjectMap(pairs, ids, areas), field.reader, Rules())
+    probabilities = {hit.text: hit.confidence.mask for hit in hits if hit.found and hit.confidence}
+    return max(probabilities, key=probabilities.__getitem__, default=None)

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from slgaussian.edits import Edits
 from slgaussian.errors import InputError, SpecError
 from slgaussian.field import SemanticField
 from tests.square import (
@@ -32,7 +33,7 @@ def field() -> SemanticField:
     return square_field("separated")
 
 
-def eroded(mask: np.ndarray, radius: int = 3) -> np.ndarray:
+def erode(mask: np.ndarray, radius: int = 3) -> np.ndarray:
     """Remove from a mask the pixels within ``radius`` rows and columns of its border."""
     padded = np.pad(mask, radius)
     steps = (-radius, 0, radius)
@@ -51,18 +52,18 @@ def test_word_taught_by_a_click_is_found_in_another_view(field):
     assert field.render(field.cameras["b"]).query("zorp").verdict == "cannot tell"
 
 
-def test_edits_leave_the_original_unchanged_and_can_be_undone(field):
+def test_undo_of_all_edits_restores_the_original_renderings(field):
     edited = field.teach("zorp", RED).named(BLUE, "Sea").without([YELLOW])
-    assert not len(field.taught) and not field.names and not field.removed
-    assert edited.names == {BLUE: "Sea"} and edited.removed == {YELLOW}
-    undone = edited.forget("zorp").named(BLUE, " ").restored([YELLOW])
+    assert not len(field.edits.taught) and not field.edits.names and not field.edits.removed
+    assert edited.edits.names == {BLUE: "Sea"} and edited.edits.removed == {YELLOW}
+    undone = edited.forget("zorp").named(BLUE, " ").restore([YELLOW])
     a, b = (version.render(field.cameras["a"]) for version in (field, undone))
     for name in ("rgb", "ids", "alpha", "depth"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-    assert not len(undone.taught) and undone.names == {}
+    assert not len(undone.edits.taught) and undone.edits.names == {}
 
 
-def test_removal_shows_the_background_that_a_view_saw_and_marks_the_rest_unknown(field):
+def test_removal_shows_observed_background_and_stripes_elsewhere(field):
     edited, cam = field.without([YELLOW]), camera(0.0)
     behind, _ = looked(cam, square=False)
     points = cam.unproject(np.full((H, W), WALL))
@@ -74,11 +75,11 @@ def test_removal_shows_the_background_that_a_view_saw_and_marks_the_rest_unknown
         labels, _ = looked(context)
         observed |= within & (labels[v.clip(0, H - 1), u.clip(0, W - 1)] != YELLOW)
     view = edited.render(cam)
-    visible, hidden = eroded(observed), eroded(~observed)
+    visible, hidden = erode(observed), erode(~observed)
     assert hidden.any() and (visible & (looked(cam)[0] == YELLOW)).any()
     assert view.unknown[hidden].all() and not view.unknown[visible].any()
     for id_ in (RED, GREEN, BLUE):
-        assert (view.ids[eroded(observed & (behind == id_))] == id_).all()
+        assert (view.ids[erode(observed & (behind == id_))] == id_).all()
     assert not view.ids[hidden].any()
     shades = view.rgb[hidden]
     assert (shades == shades[:, :1]).all() and len(np.unique(shades)) == 2  # stripes of two greys
@@ -86,10 +87,10 @@ def test_removal_shows_the_background_that_a_view_saw_and_marks_the_rest_unknown
 
 
 def test_second_removal_renders_no_view(field, monkeypatch):
-    both, first = field.without([YELLOW, GREEN]).gone, field.without([YELLOW])
-    assert first.gone.any() and not np.array_equal(first.gone, both)
+    both, first = field.without([YELLOW, GREEN]).hidden, field.without([YELLOW])
+    assert first.hidden.any() and not np.array_equal(first.hidden, both)
     monkeypatch.setattr(SemanticField, "render", None)
-    np.testing.assert_array_equal(first.named(RED, "Sun").without([GREEN]).gone, both)
+    np.testing.assert_array_equal(first.named(RED, "Sun").without([GREEN]).hidden, both)
 
 
 def test_removed_objects_are_no_answers(field):
@@ -99,7 +100,7 @@ def test_removed_objects_are_no_answers(field):
     for text in ("yellow", "zorp"):
         assert YELLOW not in [id_ for id_, _ in view.query(text).objects]
     assert [item.id for item in edited.inventory(["red"])] == [RED, GREEN, BLUE]
-    assert edited.drawn is edited.drawn and len(edited.drawn) < len(field.gaussians)
+    assert edited.visible is edited.visible and len(edited.visible) < len(field.gaussians)
 
 
 def test_name_selects_exactly_the_objects_that_have_it(field, tmp_path):
@@ -158,13 +159,13 @@ def test_picture_query_ignores_pixels_outside_its_mask(field):
     ],
     ids=["float image", "four channels", "mask of another size", "empty mask"],
 )
-def test_invalid_picture_or_mask_is_refused(field, change, message):
+def test_like_raises_input_error_for_an_invalid_picture_or_mask(field, change, message):
     image, mask = change(np.zeros((9, 8, 3), np.uint8), np.ones((9, 8), bool))
     with pytest.raises(InputError, match=message):
-        field.picture_words(image, mask)
+        field.render(field.cameras["a"]).like(image, mask)
 
 
-def test_edits_are_saved_in_their_own_files_and_removed_from_them(field, tmp_path):
+def test_save_edits_writes_only_files_of_edits(field, tmp_path):
     folder = tmp_path / "field"
     field.save(folder, {"photographs.json": b"{}"})
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
@@ -172,8 +173,8 @@ def test_edits_are_saved_in_their_own_files_and_removed_from_them(field, tmp_pat
     edited = edited.named(GREEN, "Die Wiese").without([YELLOW])
     edited.save_edits(folder)
     restored = SemanticField.load(folder)
-    assert restored.names == {GREEN: "Die Wiese"} and restored.removed == {YELLOW}
-    assert restored.taught.examples("zorp") == 2
+    assert restored.edits.names == {GREEN: "Die Wiese"} and restored.edits.removed == {YELLOW}
+    assert restored.edits.taught.examples("zorp") == 2
     scores = [f.render(f.cameras["a"]).query("zorp").scores for f in (edited, restored)]
     np.testing.assert_array_equal(*scores)
     for name, data in before.items():
@@ -185,8 +186,8 @@ def test_edits_are_saved_in_their_own_files_and_removed_from_them(field, tmp_pat
     assert {file.name for file in folder.iterdir()} == set(before)
 
 
-def test_edits_of_another_field_are_refused(field, tmp_path):
-    dataclasses.replace(field, removed=frozenset([99])).save(tmp_path / "field")
+def test_edits_of_another_field_raise_errors(field, tmp_path):
+    dataclasses.replace(field, edits=Edits(removed=frozenset([99]))).save(tmp_path / "field")
     with pytest.raises(SpecError, match=r"edits\.npz: object 99 is not in this field"):
         SemanticField.load(tmp_path / "field")
     bank = dataclasses.replace(field.bank, ids=field.bank.ids + 1)
@@ -198,24 +199,24 @@ def test_edits_of_another_field_are_refused(field, tmp_path):
     "edit",
     [
         lambda field: field.without([RED, 5]),
-        lambda field: field.restored([RED, 5]),
+        lambda field: field.restore([RED, 5]),
         lambda field: field.only([RED, 5]),
         lambda field: field.teach("zorp", 5),
         lambda field: field.named(5, "x"),
     ],
-    ids=["without", "restored", "only", "teach", "named"],
+    ids=["without", "restore", "only", "teach", "named"],
 )
-def test_edit_of_an_absent_object_is_refused(field, edit):
+def test_edit_of_an_absent_object_raises_input_error(field, edit):
     with pytest.raises(InputError, match="object 5: is not in the field, which has 4 objects"):
         edit(field)
 
 
-def test_object_without_gaussians_cannot_be_restored(field):
+def test_restore_raises_input_error_without_gaussians(field):
     dropped = field.without([YELLOW])
-    dropped = dropped.changed(gaussians=dropped.drawn)
+    dropped = dropped.drop_hidden()
     assert dropped.render(field.cameras["a"]).unknown.any()
     with pytest.raises(InputError, match="object 11: its Gaussians are not in this field"):
-        dropped.restored([YELLOW])
+        dropped.restore([YELLOW])
 
 
 def test_inventory_lists_words_names_views_and_boxes(field):

@@ -48,7 +48,7 @@ def test_words_find_their_objects(field):
     assert (words[RED], words[BLUE]) == ("red", "blue")
 
 
-def test_arguments_of_wrong_types_are_refused(field, tmp_path):
+def test_arguments_of_wrong_types_raise_input_error(field, tmp_path):
     view = field.render(NEW)
     for call, message in [
         (lambda: field.render("a.jpg"), "render: expected a Camera.*found a str"),
@@ -61,7 +61,7 @@ def test_arguments_of_wrong_types_are_refused(field, tmp_path):
             call()
 
 
-def test_estimated_cameras_are_saved_as_estimated(field, tmp_path):
+def test_save_keeps_the_estimate_of_cameras(field, tmp_path):
     estimate = Estimated((0.9, 1.2), "EXIF", 0.8)
     cameras = {**field.cameras, "a": replace(field.cameras["a"], estimated=estimate)}
     replace(field, cameras=cameras).save(tmp_path / "field")
@@ -76,7 +76,7 @@ def test_estimated_cameras_are_saved_as_estimated(field, tmp_path):
         SemanticField.load(tmp_path / "field")
 
 
-def test_saved_files_are_reproducible_and_described(field, tmp_path):
+def test_save_writes_reproducible_bytes(field, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     for folder in (first, second, second):
         field.save(folder)
@@ -108,14 +108,14 @@ def test_saved_field_renders_and_answers_the_same(codes, tmp_path):
     assert view.query("red").objects[0][0] == RED
 
 
-def test_features_of_another_width_are_refused(field, tmp_path):
+def test_load_raises_spec_error_for_features_of_another_width(field, tmp_path):
     features = torch.zeros(len(field.gaussians), 7)
     replace(field, gaussians=replace(field.gaussians, features=features)).save(tmp_path / "field")
     with pytest.raises(SpecError, match=r"gaussians\.npz: .*features"):
         SemanticField.load(tmp_path / "field")
 
 
-def test_folder_that_is_no_field_is_not_overwritten(field, tmp_path):
+def test_save_does_not_overwrite_other_folders(field, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     for folder, message in (
         (tmp_path, "is not a field"),
@@ -129,7 +129,7 @@ def test_folder_that_is_no_field_is_not_overwritten(field, tmp_path):
 @pytest.mark.parametrize(
     "name", ["gaussians.npz", "bank.npz", "field.json", "words.npz", "edits.npz"]
 )
-def test_truncated_or_missing_file_is_named(field, tmp_path, name):
+def test_load_raises_spec_error_with_the_name_of_a_damaged_file(field, tmp_path, name):
     field.teach("zorp", RED).without([BLUE]).save(tmp_path / "field")
     file = tmp_path / "field" / name
     data = file.read_bytes()
@@ -151,7 +151,7 @@ def test_truncated_or_missing_file_is_named(field, tmp_path, name):
         ({"format": 9, "made_by": "slgaussian 9"}, "format: found 9, made by slgaussian 9, expect"),
     ],
 )
-def test_invalid_description_is_refused(field, tmp_path, change, message):
+def test_load_raises_spec_error_for_an_invalid_description(field, tmp_path, change, message):
     field.save(tmp_path / "field")
     file = tmp_path / "field" / "field.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
@@ -159,7 +159,7 @@ def test_invalid_description_is_refused(field, tmp_path, change, message):
         SemanticField.load(tmp_path / "field")
 
 
-def test_file_of_another_field_is_refused(field, tmp_path):
+def test_load_raises_spec_error_for_a_file_of_another_field(field, tmp_path):
     field.save(tmp_path / "field")
     moved = replace(field.gaussians, means=field.gaussians.means + 1)
     replace(field, gaussians=moved).save(tmp_path / "moved")

@@ -29,12 +29,12 @@ from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
-from slgaussian.language import confidence
+from slgaussian.language.answer import MIN_POINT_PROBABILITY, Signs, ask
+from slgaussian.language.answer import signs as measure_signs
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import ask
-from slgaussian.language.reader import BankReader
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import BankReader
 
 RIDGE = 0.002
 
@@ -120,9 +120,9 @@ def answered(
             continue
         if hit.understood.untold:
             continue
-        gaps = reader.gaps([text], Rules())[0][hit._ranked]
+        gaps = reader.gaps([text], Rules())[0][hit.ranked]
         asks, named = hit.understood.measurements, hit.understood.named
-        at = confidence.signs(gaps, hit._chosen[hit._ranked], asks, object_map.parts(hit._chosen))
+        at = measure_signs(gaps, hit.chosen[hit.ranked], asks, object_map.parts(hit.chosen))
         present = text in present_texts
         right = truth[text] if present else np.zeros_like(hit.mask)
         union = (right | hit.mask).sum()
@@ -223,12 +223,12 @@ def verdicts(rows: Sequence[Row]) -> list[dict]:
     """Return the verdicts by the shipped constants, a line per kind of places and one for all."""
     shipped = Lexicon.calibration.mask, Lexicon.calibration.point
     mask, point = (
-        np.array([curve(confidence.Signs(*signs([row], PREDICTORS)[0, :-1])) for row in rows])
+        np.array([curve(Signs(*signs([row], PREDICTORS)[0, :-1])) for row in rows])
         for curve in shipped
     )
     present, w = np.array([row.present for row in rows]), weights(rows)
     kinds = np.array([kind_of(row.place) for row in rows])
-    denied = point < confidence.MIN_POINT_PROBABILITY
+    denied = point < MIN_POINT_PROBABILITY
     accepted = ~denied & (mask >= 0.5)
 
     def share(which: np.ndarray, of: np.ndarray) -> float:
@@ -295,7 +295,7 @@ def main() -> None:
         table([result | result["by_place"] for result in both], columns),
         table(tenths, of_tenths),
         "Not here is said where the point is right with less than "
-        f"{confidence.MIN_POINT_PROBABILITY}, found where the mask is with at least 0.5; with the "
+        f"{MIN_POINT_PROBABILITY}, found where the mask is with at least 0.5; with the "
         "constants that ship:",
         table(
             verdicts(rows),

@@ -26,6 +26,7 @@ from flows.config import SceneSettings, Settings
 from flows.scenes import room_scene
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
+from slgaussian.language.answer import find_candidates
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.rules import Rules
@@ -60,7 +61,7 @@ def questions(kind: str, scene: SceneSettings) -> list[Question]:
             features, ious = np.zeros((1, len(Ranking._fields))), np.zeros(1)
             with suppress(InputError):
                 gaps = field.reader.gaps([text], rules)
-                candidates = field.reader.candidates([text], gaps, object_map.areas, rules)
+                candidates = find_candidates([text], gaps, object_map.areas, field.reader, rules)
                 possible = candidates.possible[0]
                 sets = candidates.objects[0][possible].astype(float)
                 if len(sets):

@@ -61,11 +61,11 @@ def job(axis: str, size: float) -> Callable[[], object]:
 
 def _queries(objects: int, count: int) -> tuple[Callable[[], object], Callable[[], object]]:
     from slgaussian.language import load_encoder
+    from slgaussian.language.answer import ask
     from slgaussian.language.bank import MemoryBank
     from slgaussian.language.objectmap import ObjectMap
-    from slgaussian.language.query import ask
-    from slgaussian.language.reader import BankReader
     from slgaussian.language.rules import Rules
+    from slgaussian.language.scoring import BankReader
     from slgaussian.language.vocabulary import load_vocabulary
 
     encoder = load_encoder("lexicon")

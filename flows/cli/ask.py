@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from slgaussian.field import FieldView
-    from slgaussian.language.query import QueryResult
+    from slgaussian.language.answer import QueryResult
 
 MAX_PRINTED_OBJECTS = 3
 """Number of printed objects of an answer."""
@@ -95,7 +95,7 @@ def query(
 def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str, Any]:
     """Return the JSON output of a text in a view, without the names of view and picture.
 
-    See :class:`slgaussian.language.query.QueryResult` and :class:`slgaussian.language.Understood`.
+    See :class:`slgaussian.language.answer.QueryResult` and :class:`slgaussian.language.Understood`.
     """
     answer: dict[str, Any] = {"text": text, "found": False, "verdict": None, "refused": refused}
     if hit is None:

@@ -20,8 +20,6 @@ from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
     from slgaussian.cameras.estimated import EstimatedCameras
-    from slgaussian.field import SemanticField
-
 MASKS_FILE = "masks.json"
 """File in a folder of masks with their settings."""
 PREVIEW_FILE = "look.jpg"
@@ -85,7 +83,7 @@ def field(
     from slgaussian import precompile
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality, camera_doubt
-    from slgaussian.language.configs import INSTALL, find_weights
+    from slgaussian.objects import suggest_word
     from slgaussian.storage.field_folder import (
         check_same_photographs,
         check_target,
@@ -118,9 +116,9 @@ def field(
     lines.append(quality.verdict().sentence())
     if doubt := camera_doubt(built.settings.get("cameras", {})):
         lines.append(f"warning: {doubt}")
-    if built.settings["encoder"] == "lexicon" and find_weights() is None:
-        lines.append(f"it knows few nouns: the optional classifier is not installed; {INSTALL}")
-    if (word := choose_word(built)) is not None:
+    if advice := built.encoder.advice:
+        lines.append(advice)
+    if (word := suggest_word(built)) is not None:
         command = ["slgaussian", "query", str(out), word, "-o", "hit.png"]
         lines.append(f"ask it: {shlex.join(command)}")
     lines.append(f"look at it: {shlex.join(['slgaussian', 'view', str(out)])}")
@@ -128,21 +126,6 @@ def field(
     typer.echo(out)
     if strict and quality.verdict().level == POOR:
         raise typer.Exit(4)
-
-
-def choose_word(field: SemanticField) -> str | None:
-    """Choose the common object with the most confident query in the first view; None if none."""
-    from slgaussian.objects import COMMON_OBJECTS
-
-    if field.settings["encoder"] != "lexicon":  # other encoders have no calibrated confidence
-        return None
-    view = field.render(next(iter(field.cameras.values())))
-    probabilities = {
-        hit.text: hit.confidence.mask
-        for hit in view.query_all(COMMON_OBJECTS)
-        if hit.found and hit.confidence is not None
-    }
-    return max(probabilities, key=probabilities.__getitem__, default=None)
 
 
 def cameras(

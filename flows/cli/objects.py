@@ -141,8 +141,8 @@ def teach(
         )
     taught = opened.teach(word, id_)
     taught.save_edits(field)
-    typer.echo(f"{word!r} is object {id_}\nexamples  {taught.taught.examples(word)}")
-    typer.echo(f"it means  {_listed(taught.find(word))}")
+    typer.echo(f"{word!r} is object {id_}\nexamples  {taught.edits.taught.examples(word)}")
+    typer.echo(f"it means  {_format_hits(taught.find(word))}")
 
 
 @objects.command()
@@ -163,7 +163,7 @@ def name(
 
     edited = SemanticField.load(field).named(id_, name or "")
     edited.save_edits(field)
-    name = edited.names.get(id_)
+    name = edited.edits.names.get(id_)
     typer.echo(f"object {id_} has no name" if name is None else f"object {id_} is {name!r}")
 
 
@@ -201,10 +201,10 @@ def remove(
     for text, objects in hits.items():
         ids = {id_ for id_, _ in objects} - removed
         removed |= ids
-        meaning = f"objects {_listed(objects)}" if objects else "nothing found"
+        meaning = f"objects {_format_hits(objects)}" if objects else "nothing found"
         typer.echo(f"{text!r}: {meaning}, {np.isin(labels, list(ids)).sum():,} Gaussians")
     if removed:
-        opened.without(removed).dropped().save(out)
+        opened.without(removed).drop_hidden().save(out)
         typer.echo(out)
     raise typer.Exit(0 if all(hits.values()) else 3)
 
@@ -235,7 +235,7 @@ def extract(
         check_target(out)
     rules, opened = open_field(field, ctx)
     hits = find_objects(opened, text, rules)
-    extracted = opened.dropped().only(id_ for id_, _ in hits)
+    extracted = opened.drop_hidden().only(id_ for id_, _ in hits)
     if not len(extracted.gaussians):
         typer.echo(f"nothing found for {text!r}, so nothing is written")
         raise typer.Exit(3)
@@ -243,7 +243,7 @@ def extract(
         save_ply(extracted.gaussians, out, extracted.labels())
     else:
         extracted.save(out)
-    typer.echo(f"objects  {_listed(hits)}\n{len(extracted.gaussians):,} Gaussians  {out}")
+    typer.echo(f"objects  {_format_hits(hits)}\n{len(extracted.gaussians):,} Gaussians  {out}")
 
 
 def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
@@ -253,24 +253,24 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     """
     import numpy as np
 
+    from slgaussian.language.answer import ask
     from slgaussian.language.objectmap import ObjectMap
-    from slgaussian.language.query import ask
     from slgaussian.language.rules import Rules
 
     if text.strip().isdecimal():
-        if int(text) not in set(field.bank.ids.tolist()) - field.removed:
+        if int(text) not in set(field.bank.ids.tolist()) - field.edits.removed:
             raise InputError(
                 f"{text!r}: is no object of the field; `slgaussian objects list` lists them"
             )
         return ((int(text), 1.0),)
     labels = field.labels()
-    labels = np.where(np.isin(labels, list(field.removed)), 0, labels)
+    labels = np.where(np.isin(labels, list(field.edits.removed)), 0, labels)
     object_map = ObjectMap(labels[None], field.bank.ids)
     (answer,) = ask([text], object_map, field.reader, Rules(**rules))
     return field.find(text, **rules) if answer.shown else ()
 
 
-def _listed(hits: Hits) -> str:
+def _format_hits(hits: Hits) -> str:
     return ", ".join(f"{id_} ({score:.3f})" for id_, score in hits)
 
 
@@ -300,9 +300,8 @@ def _sure_words(
     field: SemanticField, texts: Sequence[str], rules: Mapping[str, Any]
 ) -> dict[int, list[str]]:
     """Return the words whose query finds each object in a context view, most confident first."""
-    from slgaussian.objects import words_for
-
-    candidate_texts = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
+    texts = texts or field.encoder.describing
+    candidate_texts = list(dict.fromkeys([*field.edits.taught, *texts]))
     surest: dict[tuple[int, str], float] = {}
     for camera in list(field.cameras.values())[:MAX_QUERIED_VIEWS]:
         hits = field.render(camera).query_all(candidate_texts, **rules)

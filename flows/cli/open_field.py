@@ -141,7 +141,7 @@ def render_view(folder: Path, field: SemanticField, camera: Camera) -> FieldView
     inputs = {
         "content": dict(about.digests),
         "settings": dict(about.settings),
-        "removed": sorted(field.removed),
+        "removed": sorted(field.edits.removed),
         "camera": [camera.K.tolist(), camera.c2w.tolist(), camera.width, camera.height],
         "code": threads.sources().package,
         "processor": threads.processor(),

@@ -18,7 +18,7 @@ from slgaussian.datasets.photographs import find_file, skip_unreadable
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, choose_keyframes, glance, small
 from slgaussian.errors import InputError
-from slgaussian.objects import COMMON_OBJECTS
+from slgaussian.language import COMMON_OBJECTS
 from slgaussian.scene import Camera, Sample, Scene
 
 POSED = ("nerfstudio", "colmap", "llff")

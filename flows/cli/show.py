@@ -259,12 +259,12 @@ def export(
         raise InputError(f"{out}: --text is for pages (.html); leave it out")
     if suffix == ".html":
         _, field = open_field(folder, ctx, rules=False)
-        data = scene_page(field.dropped(), _photographs(folder, field), texts or []).encode()
+        data = scene_page(field.drop_hidden(), _photographs(folder, field), texts or []).encode()
         write_file(out, data)
         size = f"{len(data) / 1e6:.1f} MB"
         typer.echo(f"{size}, to open in any browser, without a network", err=True)
     else:
-        field = SemanticField.load(folder).dropped()
+        field = SemanticField.load(folder).drop_hidden()
         if suffix == ".spz":
             save_spz(field.gaussians, out)
         else:

@@ -22,9 +22,9 @@ from slgaussian.benchmark.scores import GOOD_IOU
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.labels import MIN_WEIGHT
+from slgaussian.language.answer import QueryResult, ask
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap, central_point
-from slgaussian.language.query import QueryResult, ask
 from slgaussian.masks.flatten import nearest_pixel
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample, View

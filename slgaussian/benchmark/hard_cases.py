@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.nearest import nearest_code
-from slgaussian.language.relevancy import Scorer, sigmoid
+from slgaussian.language.scoring import Scorer, sigmoid
 from slgaussian.predict.unproject import unproject
 from slgaussian.rasterize import PRESETS, rasterize
 from slgaussian.scene import Camera

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from slgaussian.components.registry import load_component
 
@@ -13,7 +14,9 @@ if TYPE_CHECKING:  # listing the components must not import torch
 
     from slgaussian.geometry.room import Surroundings
     from slgaussian.labels import LabelMaps
-    from slgaussian.language.confidence import Calibration
+    from slgaussian.language.answer import Calibration
+    from slgaussian.language.vocabulary import Vocabulary
+    from slgaussian.language.wholes import Ranking
 
 ENCODERS = {
     "lexicon": "slgaussian.language.configs:LexiconConfig",
@@ -24,6 +27,10 @@ CODES = {
     "separated": "slgaussian.language.configs:SeparatedConfig",
 }
 
+COMMON_OBJECTS = (
+    "floor", "wall", "table", "chair", "sofa", "door", "window", "plant", "box", "book",
+)  # fmt: skip
+"""Texts for encoders without a vocabulary of their own."""
 
 TYPICAL_MEASUREMENTS = 6
 """Default number of measurements, used for taught words: the median over texts."""
@@ -43,7 +50,7 @@ class Understood:
         examples: Number of examples of a taught word.
         instead_of: For a name or a taught word, the encoder's reading of it, if it has one.
         measurements: Number of measurements that the text asks for, or the typical number.
-        named: Evidence of the classifier; see :class:`slgaussian.language.confidence.Signs`.
+        named: Evidence of the classifier; see :class:`slgaussian.language.answer.Signs`.
         describing: Number of words that describe the noun.
         classes: ImageNet classes of the noun.
         untold: Reason why the text cannot be answered; empty if it can.
@@ -69,38 +76,85 @@ class Understood:
         return f", for {self.read_as!r} alone{self.question}" if self.unknown else ""
 
 
-class Encoder(Protocol):
-    """A region encoder and a text encoder that share one space of unit vectors.
+class Encoder(ABC):
+    """Base class of encoders of regions and texts, which share one space of unit vectors.
 
-    ``name`` identifies the encoder in every artifact and report row. ``canonical`` are the phrases
-    that a query competes with (the paper's "object", "things", "stuff", "texture").
-    ``calibration`` gives the probability that an answer is right; None if it was not measured.
+    ``encode_regions`` and ``encode_text`` are required, and so are ``name``, which identifies the
+    encoder in every artifact and report row, and ``canonical``; the other abilities have defaults.
 
-    Optional members, see :class:`slgaussian.language.lexicon.Lexicon`: with a classifier,
-    ``class_scores(image, masks)``; and ``soft``, the softmax temperature of
-    :class:`slgaussian.language.relevancy.Scorer`, if its cosines spread less than the lexicon's.
+    Attributes:
+        canonical: Phrases that a query competes with (the paper's "object", "things", "stuff",
+            "texture").
+        calibration: Gives the probability that an answer is right; None if it was not measured.
+        ranking: Weights of the candidates of an answer. Without it, all near-best objects are the
+            answer.
+        soft: Temperature of the soft maximum over leads (:mod:`slgaussian.language.scoring`), which
+            depends on the spread of the encoder's cosines.
+        vocabulary: The known words, for an encoder that does not take any text.
+        describing: Texts that describe objects without a query.
+        classifies: Whether it classifies regions too.
+        advice: How the encoder can be made to know more; empty if it cannot.
     """
 
-    name: str
-    canonical: tuple[str, ...]
-    calibration: Calibration | None
+    name: ClassVar[str]
+    canonical: ClassVar[tuple[str, ...]]
+    calibration: ClassVar[Calibration | None] = None
+    ranking: ClassVar[Ranking | None] = None
+    vocabulary: ClassVar[Vocabulary | None] = None
 
+    @property
+    def soft(self) -> float:
+        """By default 0.05. Answers of the lexicon are about as good from 0.02 to 0.1."""
+        return 0.05
+
+    @property
+    def describing(self) -> tuple[str, ...]:
+        """By default the names of some common objects."""
+        return COMMON_OBJECTS
+
+    @property
+    def classifies(self) -> bool:
+        """True if :meth:`class_scores` can be called; by default False."""
+        return False
+
+    @property
+    def advice(self) -> str:
+        """By default empty."""
+        return ""
+
+    @abstractmethod
     def encode_regions(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
     ) -> np.ndarray:
-        """Encode the regions ``masks`` bool [M, H, W] of a uint8 image: unit vectors [M, C].
+        """Encode regions as unit vectors.
 
-        float32. ``around`` gives the 3D positions of the pixels, for encoders that use them.
+        Args:
+            image: uint8 [H, W, 3]. sRGB.
+            masks: bool [M, H, W]. The regions, each with at least one pixel; they may overlap.
+            around: 3D positions of the pixels, for encoders that use them.
+
+        Returns:
+            float32 [M, C]
         """
 
+    @abstractmethod
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
-        """Encode texts as unit vectors float32 [Q, C]; InputError if one has no known word."""
+        """Encode texts as unit vectors float32 [Q, C]; InputError if one cannot be used."""
 
     def understand(self, text: str, by_class: bool = False) -> Understood:
-        """Return which words of ``text`` count, and what is known of it; errors as in encode_text.
+        """Return which words of ``text`` count, by default all; errors as in encode_text.
 
         ``by_class`` is true if a classifier has classified the regions.
         """
+        return Understood(text, (), {})
+
+    def class_scores(self, image: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Classify regions and the whole photograph, if the encoder :attr:`classifies`.
+
+        Returns:
+            uint8 [M, 1000] and [1000], from :func:`slgaussian.language.classifier.quantize`.
+        """
+        raise NotImplementedError
 
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
 
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, check_type
 from slgaussian.geometry.room import Surroundings
 from slgaussian.io import short_repr
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
-from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.language.wholes import Wholes
 from slgaussian.scene import View
+
+UNIT_TOLERANCE = 1e-3
+"""Largest allowed | |L| - 1 |. Rounding to half precision changes a length by at most 2^-11, half
+of that; unnormalised features are refused."""
 
 HALF_PRECISION = {"features", "group_features"}
 """Arrays that are stored as float16."""
@@ -34,17 +38,17 @@ class MemoryBank:
         ids: int32 [N]. Object ids as in the label maps, positive and ascending.
         codes: float32 [N, 3]. ID codes in [0, 1], all different.
         features: float32 [N, V, C]. Unit vectors of the encoder, within
-            :data:`slgaussian.language.relevancy.UNIT_TOLERANCE`; zero where absent.
+            :data:`UNIT_TOLERANCE`; zero where absent.
         present: bool [N, V]. True where the view shows the object.
         boxes: int32 [N, V, 4], optional. Bounding box of the object in each view, in pixels: first
             column and row, then last column and row plus one; zeros where absent.
         levels: int32 [L, N], optional. Group of each object at L levels: its own row n if it is
             alone, else N + g for group g. Texts are then scored on groups too; see
-            :class:`slgaussian.language.relevancy.Scorer`.
+            :class:`slgaussian.language.scoring.Scorer`.
         group_features: float32 [G, V, C], with ``levels``. Unit vectors of the groups, zero where a
             view shows none of a group's objects.
         class_scores: uint8 [N + G, V, 1000], optional. ImageNet log-probabilities of objects and,
-            after them, groups, quantised by :func:`slgaussian.language.classifier.quantised`;
+            after them, groups, quantised by :func:`slgaussian.language.classifier.quantize`;
             zeros where absent.
         photograph_scores: uint8 [V, 1000], with ``class_scores``. Means over whole photographs.
         wholes: Candidates for answers; without it, an answer is all near-best objects.
@@ -100,6 +104,26 @@ class MemoryBank:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def row(self, object_id: int) -> int:
+        """Return the row of an object; InputError if there is none with this id."""
+        row = int(np.searchsorted(self.ids, object_id))
+        if row == len(self) or self.ids[row] != object_id:
+            raise InputError(
+                f"object {object_id}: is not in the field, which has {len(self)} objects; "
+                "`slgaussian objects list` has them"
+            )
+        return row
+
+    def mean_features(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows of the objects that some view shows, and their mean unit features.
+
+        int64 [R] and float32 [R, C], means over the views.
+        """
+        rows = np.flatnonzero(self.present.any(1))
+        means = [self.features[r, self.present[r]].mean(0, dtype=np.float64) for r in rows]
+        units = [(mean / np.linalg.norm(mean)).astype(np.float32) for mean in means]
+        return rows, np.array(units, np.float32).reshape(-1, self.features.shape[2])
+
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
         """Features float32 [N + G, V, C] and presence bool [N + G, V] of objects, then groups."""
@@ -153,6 +177,7 @@ def build_bank(
     from slgaussian.kernels.work_sharing import share_items
 
     ids = label_maps.ids
+    check_type(encoder, Encoder, "encoder: expected a subclass of slgaussian.language.Encoder")
     if len(ids) == 0:
         raise InputError("memory bank: the label maps hold no object; nothing could be queried")
     sizes = [view.image.shape[:2] for view in views]
@@ -166,7 +191,6 @@ def build_bank(
     arounds: Sequence[Surroundings | None] = surroundings or [None] * len(views)
     boxes = np.zeros((*present.shape, 4), np.int32)
     features, classes, photographs = [], [], []
-    classify = getattr(encoder, "class_scores", None)
     of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
     for v, (view, labels, visible, around) in enumerate(of_views):
         masks = labels == ids[visible][:, None, None]
@@ -180,15 +204,16 @@ def build_bank(
         # One call for both, so that the encoder processes the photograph once.
         regions = np.concatenate([masks, unions])
         all_visible = np.concatenate([visible, visible_groups])
-        tasks = [partial(encoder.encode_regions, view.image, regions, around)]
-        if classify is not None:
-            tasks.append(partial(classify, view.image, regions))
+        tasks: list[Callable[[], Any]] = [
+            partial(encoder.encode_regions, view.image, regions, around)
+        ]
+        if encoder.classifies:
+            tasks.append(partial(encoder.class_scores, view.image, regions))
         encoded, *scores = share_items(lambda task: task(), tasks)
-        features.append(_scattered(encoded.astype(np.float16), all_visible))
-        if scores and scores[0] is not None:
-            of_regions, of_photograph = scores[0]
-            classes.append(_scattered(of_regions, all_visible))
-            photographs.append(of_photograph)
+        features.append(_scatter(encoded.astype(np.float16), all_visible))
+        for region_scores, photograph_scores in scores:
+            classes.append(_scatter(region_scores, all_visible))
+            photographs.append(photograph_scores)
     nodes = np.stack(features, 1).astype(np.float32)
     return MemoryBank(
         ids,
@@ -217,7 +242,7 @@ def _members(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(list(rows), bool).reshape(-1, count), levels
 
 
-def _scattered(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+def _scatter(values: np.ndarray, present: np.ndarray) -> np.ndarray:
     """Scatter values [M, C] to the rows ``present`` bool [N] of zeros [N, C]."""
     column = np.zeros((len(present), values.shape[1]), values.dtype)
     column[present] = values

@@ -8,7 +8,6 @@ network runs over the whole photograph at three sizes, without global pooling: e
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from collections.abc import Sequence
 from functools import cache
@@ -18,6 +17,8 @@ import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.formats import tensorfile
+from slgaussian.io import file_sha256
 from slgaussian.language import lite0
 from slgaussian.language.configs import INSTALL, PACKAGE, SHA256, find_weights
 
@@ -44,14 +45,13 @@ class Classifier:
     name = "efficientnet-lite0"
 
     def __init__(self, file: Path) -> None:
-        with file.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        if digest != SHA256:
+        if (digest := file_sha256(file)) != SHA256:
             raise InputError(
                 f"{file}: is not the file of {PACKAGE} 0.1.0: its SHA-256 begins with "
                 f"{digest[:8]}, expected {SHA256[:8]}; install it again: {INSTALL}"
             )
-        self._network = lite0.load_network(lite0.read_weights(file))
+        weights = {name: tensor.numpy() for name, tensor in tensorfile.load(file).items()}
+        self._network = lite0.load_network(weights)
         self._lock = threading.Lock()  # the network's input is state
 
     def class_map(self, image: np.ndarray) -> np.ndarray:
@@ -112,7 +112,7 @@ def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
     return pooled
 
 
-def quantised(log_probabilities: np.ndarray) -> np.ndarray:
+def quantize(log_probabilities: np.ndarray) -> np.ndarray:
     """Quantise log-probabilities to uint8: k stands for -k * :data:`LOG_STEP` nats."""
     return np.rint(np.clip(log_probabilities / -LOG_STEP, 0, 255)).astype(np.uint8)
 
@@ -121,7 +121,7 @@ def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int
     """Compute the log-ratio of class probabilities in regions and in whole photographs, nats.
 
     Args:
-        regions: uint8 [..., V, 1000]. Scores of regions of V photographs, from :func:`quantised`.
+        regions: uint8 [..., V, 1000]. Scores of regions of V photographs, from :func:`quantize`.
         photographs: uint8 [V, 1000]. Mean scores of whole photographs.
         classes: The classes of a noun.
     """

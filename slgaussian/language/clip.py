@@ -34,7 +34,7 @@ from slgaussian.components.pretrained import (
 )
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
-from slgaussian.language import Understood
+from slgaussian.language import Encoder
 from slgaussian.language.configs import CLIP, ClipConfig
 from slgaussian.language.vocabulary import excerpt
 
@@ -45,13 +45,13 @@ MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.2757
 """CLIP's mean and standard deviation of RGB in [0, 1]; the files of a model may override them."""
 
 
-def _converted(files: ModelFiles) -> Any:
+def _convert(files: ModelFiles) -> Any:
     from slgaussian.language.open_clip import load_open_clip
 
     return load_open_clip(files)
 
 
-class Clip(ClipConfig):
+class Clip(ClipConfig, Encoder):
     """CLIP embeddings of regions and texts, ``projection_dim`` axes (512 for a ViT-B).
 
     Results are the same bytes on one machine, whatever else is encoded in the same call: texts are
@@ -71,9 +71,8 @@ class Clip(ClipConfig):
             model; also as :func:`slgaussian.components.pretrained.load_pretrained`.
     """
 
-    FAMILY: ClassVar[Family] = Family("clip", "CLIPModel", ("clip",), CLIP, _converted)
+    FAMILY: ClassVar[Family] = Family("clip", "CLIPModel", ("clip",), CLIP, _convert)
     name: ClassVar[str] = "clip"
-    calibration: ClassVar[None] = None
     canonical: ClassVar[tuple[str, ...]] = ("object", "things", "stuff", "texture")
 
     device: str = "auto"
@@ -100,16 +99,7 @@ class Clip(ClipConfig):
     def encode_regions(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
     ) -> np.ndarray:
-        """Encode regions as unit vectors.
-
-        Args:
-            image: uint8 [H, W, 3]. sRGB.
-            masks: bool [M, H, W]. The regions, each with at least one pixel; they may overlap.
-            around: Ignored.
-
-        Returns:
-            float32 [M, C]
-        """
+        """See :class:`slgaussian.language.Encoder`; ``around`` is ignored."""
         starts = range(0, len(masks), self.batch)
         vectors = [self._pictures(image, masks[i : i + self.batch]) for i in starts]
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
@@ -122,10 +112,6 @@ class Clip(ClipConfig):
         """
         vectors = [self._text(text) for text in texts]
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
-
-    def understand(self, text: str, by_class: bool = False) -> Understood:
-        """Return a reading in which every word counts: CLIP encodes any text."""
-        return Understood(text, (), {})
 
     @property
     def _width(self) -> int:

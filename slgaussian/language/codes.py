@@ -162,11 +162,11 @@ def _anneal(points, assignment, pairs, weights, movers, targets, randoms):
         if j == i:
             continue
         heat = start * TEMPERATURES[0] * (TEMPERATURES[1] / TEMPERATURES[0]) ** (step / len(movers))
-        limit = _energy_of(i, j, pairs, codes, balls, np.inf) - heat * np.log(randoms[step])
+        limit = _measure_energy(i, j, pairs, codes, balls, np.inf) - heat * np.log(randoms[step])
         _move(i, points[target], pairs, codes, balls)
         if j >= 0:
             _move(j, points[source], pairs, codes, balls)
-        if _energy_of(i, j, pairs, codes, balls, limit) <= limit:
+        if _measure_energy(i, j, pairs, codes, balls, limit) <= limit:
             assignment[i], owners[target], owners[source] = target, i, j
             if j >= 0:
                 assignment[j] = source
@@ -224,7 +224,7 @@ def _code_energy(c, codes, balls):
 
 
 @kernel
-def _energy_of(i, j, pairs, codes, balls, limit):
+def _measure_energy(i, j, pairs, codes, balls, limit):
     """Compute the energy that depends on the codes of i and j (-1: none); stop above ``limit``."""
     total = _code_energy(i, codes, balls)
     if j >= 0:

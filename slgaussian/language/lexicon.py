@@ -28,11 +28,17 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.language import Understood
-from slgaussian.language.classifier import quantised
-from slgaussian.language.confidence import Calibration, Curve
-from slgaussian.language.configs import INSTALL
-from slgaussian.language.vocabulary import NOUN_FAMILIES, Reading, load_vocabulary, unusable
+from slgaussian.language import Encoder, Understood
+from slgaussian.language.answer import Calibration, Curve
+from slgaussian.language.classifier import quantize
+from slgaussian.language.configs import INSTALL, find_weights
+from slgaussian.language.vocabulary import (
+    NOUN_FAMILIES,
+    Reading,
+    Vocabulary,
+    load_vocabulary,
+    unusable,
+)
 from slgaussian.language.wholes import Ranking
 
 if TYPE_CHECKING:
@@ -59,7 +65,7 @@ not affect the order of objects for one text."""
 
 
 @dataclass(eq=False)
-class Lexicon:
+class Lexicon(Encoder):
     """Encoder with an explicit vocabulary of words and measurements; see the module.
 
     Attributes:
@@ -69,6 +75,8 @@ class Lexicon:
 
     classifier: str = "none"
     name: ClassVar[str] = "lexicon"
+    vocabulary: ClassVar[Vocabulary] = load_vocabulary()
+    canonical: ClassVar[tuple[str, ...]] = vocabulary.canonical
     calibration: ClassVar[Calibration] = Calibration(
         mask=Curve(1.482, 1.426, -0.218, 0.275, -3.312),
         point=Curve(2.314, 1.252, -0.536, 0.45, -2.762),
@@ -98,14 +106,23 @@ class Lexicon:
         from slgaussian.language.colours import ColourNames
         from slgaussian.language.descriptors import Descriptors
 
-        self._vocabulary = load_vocabulary()
-        self._descriptors = Descriptors(
-            ColourNames(self._vocabulary.colours), self._vocabulary.groups
-        )
+        words = self.vocabulary
+        self._descriptors = Descriptors(ColourNames(words.colours), words.groups)
         self._axis = {name: i for i, name in enumerate(self._descriptors.names)}
-        self.canonical = self._vocabulary.canonical
         # Several methods read the same text in turn.
-        self._read = lru_cache(CACHE_SIZE)(self._vocabulary.read)
+        self._read = lru_cache(CACHE_SIZE)(words.read)
+
+    @property
+    def describing(self) -> tuple[str, ...]:
+        """Colours and the nouns for naming."""
+        return tuple(sorted([*self.vocabulary.colours, *self.vocabulary.naming]))
+
+    @property
+    def advice(self) -> str:
+        """Advice to install the classifier; empty if it is installed."""
+        if find_weights() is not None:
+            return ""
+        return f"it knows few nouns: the optional classifier is not installed; {INSTALL}"
 
     @property
     def width(self) -> int:
@@ -115,16 +132,9 @@ class Lexicon:
     def encode_regions(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
     ) -> np.ndarray:
-        """Encode regions as unit vectors.
+        """See :class:`slgaussian.language.Encoder`.
 
-        Args:
-            image: uint8 [H, W, 3]. sRGB.
-            masks: bool [M, H, W]. The regions, each with at least one pixel; they may overlap.
-            around: 3D positions of the pixels. Without it, descriptors of the room count as
-                undecided.
-
-        Returns:
-            float32 [M, C]
+        Without ``around``, descriptors of the room count as undecided.
         """
         vectors = np.zeros((len(masks), self.width))
         if len(masks):
@@ -134,27 +144,23 @@ class Lexicon:
             vectors[:, axes] = np.sqrt(1 - (vectors**2).sum(1))
         return vectors.astype(np.float32)
 
-    def class_scores(
-        self, image: np.ndarray, masks: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Classify regions bool [M, H, W] and the whole uint8 photograph.
+    @property
+    def classifies(self) -> bool:
+        """True with a classifier."""
+        return self.classifier != "none"
 
-        Returns:
-            uint8 [M, 1000] and [1000], from :func:`~slgaussian.language.classifier.quantised`;
-            None without a classifier.
+    def class_scores(self, image: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See :class:`slgaussian.language.Encoder`.
 
-        Raises:
-            InputError: If the weights are missing or have another SHA-256 than expected.
+        InputError if the weights are missing or have another SHA-256 than expected.
         """
-        if self.classifier == "none":
-            return None
         from slgaussian.language import classifier
 
         loaded = classifier.load()
         if loaded is None:
             raise InputError(f"lexicon: its classifier is not installed; {INSTALL}")
         scores = loaded.class_map(image)
-        return quantised(classifier.pool(scores, masks)), quantised(scores.mean((0, 1)))
+        return quantize(classifier.pool(scores, masks)), quantize(scores.mean((0, 1)))
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Encode texts as unit vectors float32 [Q, C].
@@ -180,7 +186,7 @@ class Lexicon:
     def understand(self, text: str, by_class: bool = False) -> Understood:
         """See :meth:`slgaussian.language.Encoder.understand`."""
         reading = self._read(text)
-        near = map(self._vocabulary.nearest, reading.unknown[:MAX_LISTED])
+        near = map(self.vocabulary.nearest, reading.unknown[:MAX_LISTED])
         suggestion = " and ".join(repr(word) for word in near if word is not None)
         question = f"; did you mean {suggestion}?" if suggestion else ""
         return Understood(

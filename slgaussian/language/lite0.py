@@ -1,19 +1,13 @@
 """EfficientNet-Lite0 (Tan and Le, ICML 2019, without squeeze-and-excitation) in OpenCV.
 
-OpenCV takes three quarters of PyTorch's time, gives the same bits on any number of threads, and is
-imported anyway, while importing PyTorch takes 1.6 s of CPU time. This module therefore reads the
-weights, a ``torch.save`` file in the format before PyTorch 1.6, folds batch normalisation into the
-convolutions, and builds an ONNX model
+OpenCV takes three quarters of PyTorch's time, and gives the same bits on any number of threads.
+This module therefore folds batch normalisation into the convolutions, and builds an ONNX model
 (https://github.com/onnx/onnx/blob/main/onnx/onnx.proto) in memory for OpenCV.
 """
 
 from __future__ import annotations
 
-import pickle
 import struct
-from collections import OrderedDict
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,47 +19,6 @@ EPSILON = 1e-3
 """Epsilon of batch normalisation."""
 
 
-class _Unpickler(pickle.Unpickler):
-    """Reads a state dict whose tensors become (dtype, key of the storage, offset, shape, strides).
-
-    It never looks names up in modules, so no code of a file can run; KeyError for other names.
-    """
-
-    def find_class(self, module: str, name: str) -> Any:
-        return {
-            "collections.OrderedDict": OrderedDict,
-            "torch.FloatStorage": np.dtype("<f4"),
-            "torch.LongStorage": np.dtype("<i8"),
-            "torch._utils._rebuild_tensor_v2": lambda storage, *layout: (*storage, *layout[:3]),
-        }[f"{module}.{name}"]
-
-    def persistent_load(self, pid: tuple[Any, ...]) -> tuple[np.dtype[Any], str]:
-        return pid[1], pid[2]
-
-
-def read_weights(file: Path) -> dict[str, np.ndarray]:
-    """Read the tensors of the weights file by name; the caller has checked its digest."""
-    with file.open("rb") as stream:
-        for _ in range(3):  # magic number, version, sizes of C types
-            _Unpickler(stream).load()
-        tensors = _Unpickler(stream).load()
-        dtypes = {key: dtype for dtype, key, *_ in tensors.values()}
-        storages = {}
-        for key in _Unpickler(stream).load():
-            (count,) = struct.unpack("<q", stream.read(8))
-            storages[key] = stream.read(count * dtypes[key].itemsize)
-    return {
-        name: np.ndarray(
-            shape,
-            dtype,
-            storages[key],
-            offset * dtype.itemsize,
-            [stride * dtype.itemsize for stride in strides],
-        )
-        for name, (dtype, key, offset, shape, strides) in tensors.items()
-    }
-
-
 def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
     """Build the network: from float32 [1, 3, H, W] to logits [1, 1000, H/32, W/32] of cells.
 
@@ -74,7 +27,7 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
     cells, and a single cell carries too little evidence.
 
     Args:
-        weights: dict of str to array. From :func:`read_weights`.
+        weights: dict of str to array. The layers' tensors by name.
     """
     nodes: list[bytes] = []
     tensors: list[bytes] = []
@@ -107,7 +60,7 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
             group=len(kernel) if kernel.shape[1] == 1 else 1,
         )
 
-    def normalised(x: str, name: str, norm: str, stride: int = 1, clip: bool = True) -> str:
+    def normalize(x: str, name: str, norm: str, stride: int = 1, clip: bool = True) -> str:
         scale = weights[f"{norm}.weight"] / np.sqrt(weights[f"{norm}.running_var"] + EPSILON)
         bias = weights[f"{norm}.bias"] - weights[f"{norm}.running_mean"] * scale
         kernel = weights[f"{name}.weight"] * scale[:, None, None, None]
@@ -115,7 +68,7 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
         # OpenCV's own operator: it is fused into the convolution, unlike ONNX's Clip.
         return add("ReLU6", y, min_value=0.0, max_value=6.0) if clip else y
 
-    x = normalised("image", "_conv_stem", "_bn0", 2)
+    x = normalize("image", "_conv_stem", "_bn0", 2)
     blocks = (
         (stride if repeat == 0 else 1, expansion, repeat > 0)
         for repeats, stride, expansion in STAGES
@@ -123,11 +76,11 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
     )
     for number, (stride, expansion, skips) in enumerate(blocks):
         block = f"_blocks.{number}."
-        y = normalised(x, f"{block}_expand_conv", f"{block}_bn0") if expansion > 1 else x
-        y = normalised(y, f"{block}_depthwise_conv", f"{block}_bn1", stride)
-        y = normalised(y, f"{block}_project_conv", f"{block}_bn2", clip=False)
+        y = normalize(x, f"{block}_expand_conv", f"{block}_bn0") if expansion > 1 else x
+        y = normalize(y, f"{block}_depthwise_conv", f"{block}_bn1", stride)
+        y = normalize(y, f"{block}_project_conv", f"{block}_bn2", clip=False)
         x = add("Add", x, y) if skips else y
-    x = normalised(x, "_conv_head", "_bn1")
+    x = normalize(x, "_conv_head", "_bn1")
     x = add("AveragePool", x, kernel_shape=(3, 3), pads=(1, 1, 1, 1), count_include_pad=0)
     x = convolve(x, "_fc", weights["_fc.weight"][:, :, None, None], weights["_fc.bias"])
     graph = _message(

@@ -16,6 +16,7 @@ class ObjectMap:
     Args:
         ids_map: int [H, W]. Object id of each pixel, 0 for none.
         ids: int32 [N]. Ids of the bank, positive and ascending.
+        areas: int64 [N], optional. Number of pixels to assume for each object.
 
     Attributes:
         rows: uint8, uint16 or int32 [H, W]. 1 + the row of the pixel's object in ``ids``, 0 for
@@ -26,13 +27,16 @@ class ObjectMap:
         InputError: If the map is not an integer image, or holds an id that is not in ``ids``.
     """
 
-    def __init__(self, ids_map: np.ndarray, ids: np.ndarray) -> None:
+    def __init__(
+        self, ids_map: np.ndarray, ids: np.ndarray, areas: np.ndarray | None = None
+    ) -> None:
         if ids_map.ndim != 2 or not np.issubdtype(ids_map.dtype, np.integer):
             raise InputError(
                 f"id map: found {ids_map.dtype} {ids_map.shape}, expected int32 [H, W]"
             )
         self.rows = _look_up(ids_map, ids)
-        self.areas = np.bincount(self.rows.ravel(), minlength=len(ids) + 1)[1:]
+        counts = np.bincount(self.rows.ravel(), minlength=len(ids) + 1)[1:]
+        self.areas = counts if areas is None else areas
         self._points: dict[int, tuple[int, int]] = {}
 
     @cached_property

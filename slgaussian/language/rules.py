@@ -1,4 +1,4 @@
-"""Rules that turn relevancies into answers, and whether answers by them are calibrated."""
+"""Rules that turn relevancies into answers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from slgaussian.components.config import Config
-from slgaussian.language import Encoder
 
 CANONICAL_PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
 """Named canonical phrases; LERF's are also those of LangSplat and the paper."""
@@ -92,10 +91,3 @@ class Rules(Config):
         if not self.threshold:
             return 0.0 if self.threshold is None else -math.inf
         return (math.log(self.threshold) - math.log1p(-self.threshold)) / self.temperature
-
-
-def unmeasured(encoder: Encoder, rules: Rules) -> str:
-    """Name the setting without a calibration; empty if answers are calibrated."""
-    if encoder.calibration is None:
-        return f"the encoder {encoder.name}"
-    return "" if rules.canonical is None else "canonical phrases of your own"

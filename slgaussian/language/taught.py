@@ -12,7 +12,7 @@ Features of regions are close to each other: the cosine of two objects of one ph
     lead(L) = COSINE_SCALE ( max_e likeness(L, e) - BOUNDARY_LIKENESS )
 
 over the examples e. The lead is 0 at the decision boundary. It replaces a text's lead over the
-canonical phrases in :mod:`slgaussian.language.relevancy`, so temperature, threshold, views and
+canonical phrases in :mod:`slgaussian.language.scoring`, so temperature, threshold, views and
 groups work as for other words.
 """
 
@@ -26,11 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.language.relevancy import UNIT_TOLERANCE
-from slgaussian.storage.encoding import decode_arrays, encode_artifact
-from slgaussian.storage.specs import load_spec
-
-SPEC = "words"
+from slgaussian.language.bank import UNIT_TOLERANCE
 
 BOUNDARY_LIKENESS = 0.45
 """Likeness at the decision boundary. At .6 the IoU in other image pairs of the same place falls
@@ -43,8 +39,6 @@ Answers are about as good from 0.1 to 0.6."""
 
 MAX_WORD_LENGTH = 80
 """Largest number of letters of a word."""
-
-REPAIR = "remove the file, and teach the words again"
 
 
 class Lesson(NamedTuple):
@@ -65,7 +59,7 @@ class TaughtWords:
 
     Attributes:
         encoder: :func:`encoder_identity` of the features' encoder; empty without words.
-        lessons: {word: its features}. Words are normalised by :func:`normal`.
+        lessons: {word: its features}. Words are normalised by :func:`normalize`.
     """
 
     encoder: str = ""
@@ -81,13 +75,13 @@ class TaughtWords:
 
     def __contains__(self, text: object) -> bool:
         """Return whether a text is a taught word, ignoring case and extra spaces."""
-        return isinstance(text, str) and spelled(text) in self.lessons
+        return isinstance(text, str) and unify_spelling(text) in self.lessons
 
     def examples(self, word: str) -> int:
         """Count the examples of a word."""
-        return len(self.lessons[normal(word)].examples)
+        return len(self.lessons[normalize(word)].examples)
 
-    def with_example(
+    def add_example(
         self, word: str, feature: np.ndarray, rivals: np.ndarray, encoder: str
     ) -> TaughtWords:
         """Return the words with one more example, without duplicates.
@@ -100,23 +94,25 @@ class TaughtWords:
         Raises:
             InputError: If the word is empty or too long, or the words have another encoder.
         """
-        word = normal(word)
+        word = normalize(word)
         self.check_encoder(encoder)
-        examples, others = _half_precision(feature[None]), _half_precision(rivals)
+        # Rounded to half precision, so that saved words give the same answers.
+        examples, others = (
+            x.astype(np.float16).astype(np.float32) for x in (feature[None], rivals)
+        )
         if word in self.lessons:
             examples = np.concatenate([self.lessons[word].examples, examples])
             others = np.concatenate([self.lessons[word].rivals, others])
         distinct = {example.tobytes(): example for example in examples}
         opposed = {other.tobytes(): other for other in others if other.tobytes() not in distinct}
-        width = len(feature)
         lesson = Lesson(
-            np.array(list(distinct.values())), np.array(list(opposed.values())).reshape(-1, width)
+            *(np.array([*x.values()]).reshape(-1, len(feature)) for x in (distinct, opposed))
         )
         return TaughtWords(encoder, {**self.lessons, word: lesson})
 
-    def without(self, word: str) -> TaughtWords:
+    def remove(self, word: str) -> TaughtWords:
         """Return the words without ``word`` and its examples; InputError if it is not taught."""
-        word = normal(word)
+        word = normalize(word)
         if word not in self.lessons:
             words = ", ".join(map(repr, self)) or "none"
             raise InputError(f"{word!r}: is no taught word; those there are: {words}")
@@ -125,10 +121,9 @@ class TaughtWords:
 
     def leads(self, word: str, looks: np.ndarray) -> np.ndarray:
         """Compute the module's lead, float64 [P], of unit vectors [P, C] to a taught word."""
-        examples, rivals = self.lessons[normal(word)]
+        examples, rivals = self.lessons[normalize(word)]
         common = rivals.astype(np.float64).mean(0) if len(rivals) else np.zeros(looks.shape[1])
-        directions = _directions(looks, common)
-        likeness = np.einsum("pc,ec->pe", directions, _directions(examples, common))
+        likeness = np.einsum("pc,ec->pe", *(_directions(x, common) for x in (looks, examples)))
         return COSINE_SCALE * (likeness.max(1) - BOUNDARY_LIKENESS)
 
     def check_encoder(self, encoder: str) -> None:
@@ -143,63 +138,50 @@ class TaughtWords:
         """Return the arrays by name, as stored: features in half precision."""
         lessons = [(word, self.lessons[word]) for word in self]
         width = lessons[0][1].examples.shape[1] if lessons else 0
-        none = np.zeros((0, width), np.float32)
-        return {
-            "encoder": np.array(self.encoder),
-            "words": np.array([word for word, lesson in lessons for _ in lesson.examples], np.str_),
-            "features": np.concatenate([none, *(lesson.examples for _, lesson in lessons)]).astype(
-                "f2"
-            ),
-            "rival_words": np.array(
-                [word for word, lesson in lessons for _ in lesson.rivals], np.str_
-            ),
-            "rivals": np.concatenate([none, *(lesson.rivals for _, lesson in lessons)]).astype(
-                "f2"
-            ),
-        }
-
-    def to_bytes(self) -> bytes:
-        """Encode the words as the bytes of a file, deterministically."""
-        return encode_artifact(SPEC, self.to_arrays(), "taught words")[1]
+        arrays = {"encoder": np.array(self.encoder)}
+        for part, names, features in ((0, "words", "features"), (1, "rival_words", "rivals")):
+            words = [word for word, lesson in lessons for _ in lesson[part]]
+            vectors = [np.zeros((0, width)), *(lesson[part] for _, lesson in lessons)]
+            arrays[names] = np.array(words, np.str_)
+            arrays[features] = np.concatenate(vectors).astype("f2")
+        return arrays
 
     @staticmethod
-    def from_bytes(data: bytes, file: str, encoder: str) -> TaughtWords:
-        """Decode :meth:`to_bytes`; ``file`` is the name for messages.
+    def from_arrays(arrays: Mapping[str, np.ndarray], encoder: str) -> TaughtWords:
+        """Inverse of :meth:`to_arrays`.
 
         Raises:
-            SpecError: If the file is damaged, or its words are of another encoder.
+            SpecError: If a feature is no unit vector, or the words are of another encoder.
         """
-        arrays = decode_arrays(data, load_spec(SPEC), file, repair=REPAIR)
         for name in ("features", "rivals"):
             lengths = np.linalg.norm(arrays[name].astype(np.float64), axis=1)
             if not (np.abs(lengths - 1) <= UNIT_TOLERANCE).all():
-                raise SpecError(f"{file}: {name} hold a vector that is no unit vector; {REPAIR}")
+                raise SpecError(f"{name} hold a vector that is no unit vector")
         features, rivals = (arrays[name].astype(np.float32) for name in ("features", "rivals"))
-        of_word = {}
-        for word in np.unique(arrays["words"]):
-            examples, others = arrays["words"] == word, arrays["rival_words"] == word
-            of_word[str(word)] = Lesson(features[examples], rivals[others])
-        words = TaughtWords(str(arrays["encoder"]), of_word)
-        try:
-            words.check_encoder(encoder)
-        except InputError as error:
-            raise SpecError(f"{file}: {error}; {REPAIR}") from error
+        lessons = {
+            str(word): Lesson(
+                features[arrays["words"] == word], rivals[arrays["rival_words"] == word]
+            )
+            for word in np.unique(arrays["words"])
+        }
+        words = TaughtWords(str(arrays["encoder"]), lessons)
+        words.check_encoder(encoder)
         return words
 
 
-def normal(word: str) -> str:
+def normalize(word: str) -> str:
     """Normalise a word for teaching and queries: lower case, single spaces.
 
     InputError if it is empty, or has more than :data:`MAX_WORD_LENGTH` letters.
     """
-    plain = spelled(word)
+    plain = unify_spelling(word)
     if not plain or len(plain) > MAX_WORD_LENGTH:
         problem = f"{len(plain)} letters" if plain else "an empty text"
         raise InputError(f"word: found {problem}, expected 1 to {MAX_WORD_LENGTH} letters")
     return plain
 
 
-def spelled(word: str) -> str:
+def unify_spelling(word: str) -> str:
     """Normalise case and spaces; words and names are compared in this form."""
     return " ".join(word.casefold().split())
 
@@ -213,11 +195,6 @@ def encoder_identity(settings: Mapping[str, Any]) -> str:
     identity = {"encoder": name, **dict(settings.get(name, {}))}
     identity.pop("classifier", None)
     return json.dumps({k: v for k, v in identity.items() if v is not None}, sort_keys=True)
-
-
-def _half_precision(vectors: np.ndarray) -> np.ndarray:
-    """Round to half precision, so that saved words give the same answers."""
-    return vectors.astype(np.float16).astype(np.float32)
 
 
 def _directions(vectors: np.ndarray, common: np.ndarray) -> np.ndarray:

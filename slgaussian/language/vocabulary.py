@@ -152,7 +152,7 @@ class Vocabulary:
         last = [s for s, _ in looked_up[:limit] if s not in unseen][-1:]
         if head_word is None or set(last) & set(unknown):
             return Reading(tuple(words.values()), unknown, unused)
-        classes = classes_of(noun) or classes_of(head_word.name)
+        classes = find_classes(noun) or find_classes(head_word.name)
         return Reading(tuple(words.values()), unknown, unused, noun, classes)
 
     def _check_one_thing(self, text: str, spelled: Sequence[str]) -> None:
@@ -258,7 +258,7 @@ class Vocabulary:
         for form in _singulars(spelling):
             if form in self.words:
                 return self.words[form]
-        if not classes_of(spelling):
+        if not find_classes(spelling):
             return None
         *first, last = spelling.split()
         plainer = self._look_up(last) if first else None
@@ -314,7 +314,7 @@ def spellings(text: str) -> list[str]:
     return _WORD.findall(unicodedata.normalize("NFKC", text).replace("’", "'").lower())
 
 
-def classes_of(noun: str) -> tuple[int, ...]:
+def find_classes(noun: str) -> tuple[int, ...]:
     """Return the ImageNet classes of a noun, singular or plural; empty if there are none."""
     *first, last = noun.split()
     forms = (" ".join([*first, form]) for form in _singulars(last))
@@ -327,7 +327,7 @@ def _join_names(spelled: Sequence[str]) -> list[str]:
     for length in (3, 2):
         for start in range(len(joined) - length, -1, -1):
             name = " ".join(joined[start : start + length])
-            if classes_of(name):
+            if find_classes(name):
                 joined[start : start + length] = [name]
     return joined
 

@@ -91,7 +91,7 @@ class About:
                 stated = "none" if version is None else repr(version)[:40]
                 maker_text = f", made by {maker:.60}" if isinstance(maker, str) else ""
                 raise mismatch(file, "format", f"{stated}{maker_text}", f"{FORMAT}; {REPAIR}")
-            cameras = {name: _camera_of(values) for name, values in content["cameras"].items()}
+            cameras = {name: _parse_camera(values) for name, values in content["cameras"].items()}
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()
             if not all(isinstance(place, str) for place in places.values()):
@@ -111,7 +111,7 @@ def _camera_json(camera: Camera) -> dict[str, Any]:
     return values if estimated is None else {**values, "estimated": asdict(estimated)}
 
 
-def _camera_of(values: Mapping[str, Any]) -> Camera:
+def _parse_camera(values: Mapping[str, Any]) -> Camera:
     arrays: dict[str, Any] = {name: np.array(values[name]) for name in ("K", "c2w")}
     if values.get("estimated") is not None:
         arrays["estimated"] = Estimated.of(values["estimated"])
@@ -156,13 +156,13 @@ def read_about(path: Path) -> tuple[About, dict[str, str]]:
             f"{path}: no {FIELD_FILE} there, expected a folder that `slgaussian field` or a run "
             "(under fields/ of its results) or SemanticField.save wrote"
         )
-    return About.from_json(_content(file), str(file))
+    return About.from_json(read_content(file), str(file))
 
 
 def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
     """Read the arrays of one file of a folder; SpecError if their digest is another one."""
     file, rules = path / FILES[spec], load_spec(spec)
-    arrays = decode_arrays(_content(file), rules, str(file), repair=REPAIR)
+    arrays = decode_arrays(read_content(file), rules, str(file), repair=REPAIR)
     actual = arrays_digest(arrays)
     if actual != digest:
         expected = (
@@ -172,11 +172,12 @@ def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
     return arrays
 
 
-def _content(file: Path) -> bytes:
+def read_content(file: Path, repair: str = REPAIR) -> bytes:
+    """Read a file of a folder; SpecError with the advice ``repair`` if it cannot be read."""
     try:
         return file.read_bytes()
     except OSError as error:
-        raise SpecError(f"{file}: {error.strerror}; {REPAIR}") from error
+        raise SpecError(f"{file}: {error.strerror}; {repair}") from error
 
 
 def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:

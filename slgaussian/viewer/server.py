@@ -10,7 +10,7 @@ import base64
 import logging
 import threading
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +25,12 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from slgaussian.components.config import Config
+from slgaussian.edits import Edits
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats import strict_json
-from slgaussian.language.rules import Rules
-from slgaussian.language.wholes import MIN_PIXELS
 from slgaussian.viewer.auth import Access, Guard
+from slgaussian.viewer.page.answers import PageAnswers
 from slgaussian.viewer.page.packed import morton_order
 
 MAX_BODY_BYTES = 2**16  # largest body of a request
@@ -64,6 +64,11 @@ class LiveField:
         self._earlier: list[SemanticField] = []
         self._saved = field
 
+    @cached_property
+    def _answers(self) -> PageAnswers:
+        camera = next(iter(self.field.cameras.values()))
+        return PageAnswers(self.ids, self.field.changed(edits=Edits()).render(camera).ids)
+
     @property
     def unsaved(self) -> bool:
         """True if the field was changed since it was opened or saved."""
@@ -77,48 +82,31 @@ class LiveField:
         if it is not drawn, least significant bit first, empty if all are drawn; ``taught``:
         words; ``unsaved`` and ``undo``: whether there are unsaved changes and changes to undo.
         """
-        field = self.field
+        field, edits = self.field, self.field.edits
         words = field.best_words()
-        gone = np.packbits(field.gone[self._order], bitorder="little") if field.removed else b""
+        hidden = field.hidden[self._order] if edits.removed else np.zeros(0, bool)
         return {
-            "names": [field.names.get(id_, "") for id_ in self.ids],
+            "names": [edits.names.get(id_, "") for id_ in self.ids],
             "words": [[[text, round(r, 4)] for text, r in words[row]] for row in self._rows],
-            "removed": sorted(field.removed),
-            "gone": base64.b64encode(bytes(gone)).decode(),
-            "taught": list(field.taught),
+            "removed": sorted(edits.removed),
+            "gone": base64.b64encode(np.packbits(hidden, bitorder="little").tobytes()).decode(),
+            "taught": list(edits.taught),
             "undo": bool(self._earlier),
             "unsaved": self.unsaved,
         }
 
     def query(self, texts: Sequence[str]) -> dict[str, Any]:
-        """Answer texts in the form that ``words.js`` reads: for each object the relevancy gap
-        (``gaps``) and whether the answer selects it (``taken``), or an error (``refused``).
+        """Answer texts as :meth:`slgaussian.viewer.page.answers.PageAnswers.ask`.
 
-        The gap is None for an object that no view shows, or that is removed.
+        A text that cannot be used has an error (``refused``).
         """
-        return {"answers": [self._answer(text) for text in texts]}
-
-    def _answer(self, text: str) -> dict[str, Any]:
-        reader = self.field.reader
-        try:
-            understood = reader.understood(text)
-            all_gaps = reader.gaps([text], Rules())[0]
-        except InputError as error:
-            return {"text": text, "refused": str(error)}
-        gaps, present = all_gaps[self._rows], ~np.isin(self.ids, list(self.field.removed))
-        areas = np.zeros(len(all_gaps), int)
-        areas[self._rows[present]] = MIN_PIXELS
-        selected = reader.chosen([text], all_gaps[None], areas, Rules())[0, self._rows] & present
-        fields = ("kind", "measurements", "named", "alone", "untold", "unknown")
-        return {
-            "text": text,
-            "gaps": [
-                round(gap, 6) if answerable else None
-                for gap, answerable in zip(gaps.tolist(), np.isfinite(gaps) & present, strict=True)
-            ],
-            "taken": selected.tolist(),
-            **{name: getattr(understood, name) for name in fields},
-        }
+        answers: list[dict[str, Any]] = []
+        for text in texts:
+            try:
+                answers += self._answers.ask(self.field, [text])
+            except InputError as error:
+                answers.append({"text": text, "refused": str(error)})
+        return {"answers": answers}
 
     def change(self, changed: SemanticField) -> dict[str, Any]:
         """Replace the field by a changed one; return the state."""
@@ -155,7 +143,7 @@ CALLS: dict[str, Call] = {
     "teach": lambda live, body: live.change(live.field.teach(body.word, body.object)),
     "name": lambda live, body: live.change(live.field.named(body.object, body.word)),
     "remove": lambda live, body: live.change(live.field.without([body.object])),
-    "restore": lambda live, body: live.change(live.field.restored([body.object])),
+    "restore": lambda live, body: live.change(live.field.restore([body.object])),
     "undo": lambda live, body: live.undo(),
     "save": lambda live, body: live.save(),
 }
@@ -169,7 +157,7 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
     """
     lock = threading.Lock()
 
-    def locked(call: Call, data: bytes) -> dict[str, Any]:
+    def call_locking(call: Call, data: bytes) -> dict[str, Any]:
         try:
             values = strict_json.parse(data)
         except ValueError:
@@ -192,7 +180,7 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
                     {"error": f"found more than {MAX_BODY_BYTES} bytes"}, 413, HEADERS
                 )
         try:
-            return JSONResponse(await run_in_threadpool(locked, call, body), headers=HEADERS)
+            return JSONResponse(await run_in_threadpool(call_locking, call, body), headers=HEADERS)
         except SLGaussianError as error:
             return JSONResponse({"error": str(error)}, 400, HEADERS)
 

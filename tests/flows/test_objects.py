@@ -19,15 +19,15 @@ def field(walls, tmp_path):
     return shutil.copytree(walls, tmp_path / "field")
 
 
-def labels_of(ply) -> set[int]:
+def read_labels(ply) -> set[int]:
     return set(np.asarray(PlyData.read(ply)["vertex"]["label"]).tolist())
 
 
-def ids_of(answer) -> list[int]:
+def list_ids(answer) -> list[int]:
     return [item["id"] for item in answer["objects"]]
 
 
-def test_what_is_in_a_field_is_listed(walls, ask, slg, monkeypatch):
+def test_objects_list_prints_words_sizes_and_views(walls, ask, slg, monkeypatch):
     status, out, _ = slg("objects", "list", walls)
     lines = out.splitlines()
     assert status == 0
@@ -45,11 +45,11 @@ def test_what_is_in_a_field_is_listed(walls, ask, slg, monkeypatch):
         assert ("1 smaller ones are listed with --all" in out) == (count == 1)
 
 
-def test_an_object_is_extracted(walls, tmp_path, slg):
+def test_objects_extract_writes_the_object_alone(walls, tmp_path, slg):
     count = (SemanticField.load(walls).labels() == RED).sum()
     for text in ("red wall", RED):
         assert slg("objects", "extract", walls, text, "-o", tmp_path / "red.ply")[0] == 0
-        assert labels_of(tmp_path / "red.ply") == {RED}
+        assert read_labels(tmp_path / "red.ply") == {RED}
         assert PlyData.read(tmp_path / "red.ply")["vertex"].count == count
     assert slg("objects", "extract", walls, "red", "-o", tmp_path / "red")[0] == 0
     assert set(SemanticField.load(tmp_path / "red").labels().tolist()) == {RED}
@@ -58,9 +58,7 @@ def test_an_object_is_extracted(walls, tmp_path, slg):
     assert not (tmp_path / "x.ply").exists()
 
 
-def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
-    walls, tmp_path, ask, slg, refusal
-):
+def test_objects_remove_leaves_stripes_behind_the_object(walls, tmp_path, ask, slg, refusal):
     out = tmp_path / "without"
     status, printed, _ = slg("objects", "remove", walls, "red wall", RED, "-o", out)
     first, second, _ = printed.splitlines()
@@ -68,8 +66,8 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
     assert second == "'1': objects 1 (1.000), 0 Gaussians"
     assert "'1': is no object of" in refusal("objects", "extract", out, RED, "-o", tmp_path / "1")
     left = SemanticField.load(out)
-    assert left.removed == {RED} and RED not in left.labels()
-    assert SemanticField.load(walls).removed == frozenset()
+    assert left.edits.removed == {RED} and RED not in left.labels()
+    assert SemanticField.load(walls).edits.removed == frozenset()
     status, (answer,) = ask("query", out, "red")
     assert status == 3 and not answer["found"]
     status, rows = ask("objects", "list", out, "-o", tmp_path / "list.png")
@@ -79,16 +77,16 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
     opened = np.asarray(Image.open(tmp_path / "a.png")).astype(int)[4:-4, 4:18]
     assert (np.ptp(opened, axis=2) == 0).all() and np.ptp(opened) > 40  # grey stripes
     assert slg("export", out, "-o", tmp_path / "a.ply")[0] == 0
-    assert RED not in labels_of(tmp_path / "a.ply")
+    assert RED not in read_labels(tmp_path / "a.ply")
 
 
-def test_a_word_is_taught_by_a_click_queried_and_forgotten(field, ask, slg):
+def test_objects_teach_adds_and_forgets_a_word(field, ask, slg):
     status, out, _ = slg("query", field, "zorp")
     assert status == 3 and out.startswith("cannot tell: no word 'zorp' is known here")
     status, out, _ = slg("objects", "teach", field, "Zorp", "--at", 8, 16)
     assert status == 0 and out.splitlines()[:2] == ["'Zorp' is object 1", "examples  1"]
     status, (taught, other) = ask("query", field, "zorp", "blue", "--view", 1)
-    assert status == 3 and ids_of(taught) == [RED]
+    assert status == 3 and list_ids(taught) == [RED]
     assert (taught["kind"], taught["examples"]) == ("taught", 1)
     assert (other["kind"], other["examples"]) == ("known", 0)
     status, out, _ = slg("query", field, "zorp")
@@ -100,25 +98,25 @@ def test_a_word_is_taught_by_a_click_queried_and_forgotten(field, ask, slg):
     assert ask("query", field, "blue")[1][0]["kind"] == "known"
 
 
-def test_a_name_is_queried_and_extracted_like_a_word(field, tmp_path, ask, slg):
+def test_objects_name_is_used_by_query_and_extract(field, tmp_path, ask, slg):
     status, out, _ = slg("objects", "name", field, BLUE, "Anna's wall")
     assert (status, out) == (0, 'object 2 is "Anna\'s wall"\n')
     status, (answer,) = ask("query", field, "anna's  WALL")
-    assert status == 0 and ids_of(answer) == [BLUE]
+    assert status == 0 and list_ids(answer) == [BLUE]
     assert (answer["kind"], answer["verdict"], answer["confidence"]) == ("named", "found", None)
     assert "a name that you gave" in slg("query", field, "Anna's wall")[1]
     file = tmp_path / "wall.ply"
     assert slg("objects", "extract", field, "anna's wall", "-o", file)[0] == 0
-    assert labels_of(file) == {BLUE}
+    assert read_labels(file) == {BLUE}
     assert slg("objects", "name", field, BLUE)[1] == "object 2 has no name\n"
     assert ask("query", field, "Anna's wall")[1][0]["kind"] != "named"
 
 
-def test_a_field_is_queried_by_picture(walls, tmp_path, ask, refusal):
+def test_query_like_finds_the_object_of_a_picture(walls, tmp_path, ask, refusal):
     Image.new("RGB", (20, 16), (10, 25, 205)).save(tmp_path / "crop.png")
     status, (red, answer) = ask("query", walls, "--like", tmp_path / "crop.png", "red")
     assert (answer["kind"], red["kind"]) == ("picture", "known")
-    assert ids_of(answer) == [BLUE] and status == 3
+    assert list_ids(answer) == [BLUE] and status == 3
     # The colour of the picture fits one object exactly; the word leaves some doubt.
     assert (answer["verdict"], red["verdict"]) == ("found", "not sure")
     (tmp_path / "broken.png").write_bytes(b"no picture")

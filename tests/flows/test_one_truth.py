@@ -29,7 +29,7 @@ def folder(field, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("text", "verdict", "status"), CASES)
-def test_who_reads_an_answer_reads_the_same(
+def test_sentence_json_status_and_picture_agree(
     field, folder, tmp_path, slg, ask, text, verdict, status
 ):
     view = field.render(next(iter(field.cameras.values())))
@@ -65,6 +65,6 @@ def test_who_reads_an_answer_reads_the_same(
         (["floor", "not red"], 1),
     ],
 )
-def test_the_status_of_several_texts_is_zero_if_each_is_found(folder, ask, texts, status):
+def test_query_status_is_zero_only_with_all_texts_in_a_view(folder, ask, texts, status):
     assert ask("query", folder, *texts)[0] == status
     assert ask("query", folder, *texts, "--view", "0", "--view", "1")[0] == status

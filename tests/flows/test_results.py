@@ -15,7 +15,7 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.build import build_field
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
-from slgaussian.objects import COMMON_OBJECTS
+from slgaussian.language import COMMON_OBJECTS
 from slgaussian.storage.housekeeping import collect
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore, DamagedError

@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 
 from slgaussian.labels import LabelMaps
-from slgaussian.language import query
+from slgaussian.language import answer
+from slgaussian.language.answer import QueryResult
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import QueryResult
-from slgaussian.language.reader import BankReader
-from slgaussian.language.relevancy import Scorer, sigmoid
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import BankReader, Scorer, sigmoid
 from slgaussian.scene import Camera, View
 
 RED, GREEN, BLUE = (200, 30, 35), (40, 140, 60), (35, 75, 190)
@@ -79,17 +78,17 @@ def photograph(objects: list[tuple], seed: int = 0) -> tuple[np.ndarray, np.ndar
     return np.clip(np.round(soft), 0, 255).astype(np.uint8), ids
 
 
-def view_of(image: np.ndarray, name: str = "view") -> View:
+def make_view(image: np.ndarray, name: str = "view") -> View:
     """Return a view with an image and an irrelevant camera."""
     h, w = image.shape[:2]
     K = np.array([[300.0, 0, w / 2], [0, 300, h / 2], [0, 0, 1]])
     return View(name, Camera(K, np.eye(4), w, h), image)
 
 
-def bank_of(images: list[np.ndarray], ids: list[np.ndarray], encoder: Lexicon) -> MemoryBank:
+def make_bank(images: list[np.ndarray], ids: list[np.ndarray], encoder: Lexicon) -> MemoryBank:
     """The memory bank of some photographs and their id maps."""
     maps = LabelMaps(np.stack(ids), np.ones((len(ids), *ids[0].shape), np.float32))
-    views = [view_of(image, f"view {i}") for i, image in enumerate(images)]
+    views = [make_view(image, f"view {i}") for i, image in enumerate(images)]
     return build_bank(views, maps, encoder, grid_codes(len(maps.ids), np.random.default_rng(0)))
 
 
@@ -98,12 +97,12 @@ def find(
 ) -> QueryResult:
     """Query one text in an id map."""
     object_map = ObjectMap(ids, bank.ids)
-    return query.ask([text], object_map, BankReader(bank, encoder), Rules(**rules))[0]
+    return answer.ask([text], object_map, BankReader(bank, encoder), Rules(**rules))[0]
 
 
 def segment(texts: list[str], ids: np.ndarray, bank: MemoryBank, encoder: Lexicon) -> np.ndarray:
     """Return the best of several texts for each object of an id map."""
-    return query.segment(texts, ObjectMap(ids, bank.ids), BankReader(bank, encoder), Rules())
+    return answer.segment(texts, ObjectMap(ids, bank.ids), BankReader(bank, encoder), Rules())
 
 
 def relevancy(features, present, queries, canonical, temperature=10.0, absent="skip") -> np.ndarray:

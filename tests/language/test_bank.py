@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from drawn import BLUE, RED, ball, bank_of, photograph, relevancy, view_of
+from drawn import BLUE, RED, ball, make_bank, make_view, photograph, relevancy
 
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
@@ -19,10 +19,10 @@ def bank(lexicon) -> MemoryBank:
     """A red ball (id 1) in both views, a blue one (id 2) in the first alone."""
     both = photograph([(ball(80, 120, 30), RED), (ball(220, 120, 30), BLUE)])
     one = photograph([(ball(90, 120, 30), RED)])
-    return bank_of([both[0], one[0]], [both[1], one[1]], lexicon)
+    return make_bank([both[0], one[0]], [both[1], one[1]], lexicon)
 
 
-def test_an_absent_view_is_marked_absent_and_never_scored(bank, lexicon):
+def test_build_bank_marks_absent_views(bank, lexicon):
     np.testing.assert_array_equal(bank.ids, [1, 2])
     np.testing.assert_array_equal(bank.present, [[True, True], [True, False]])
     assert not bank.features[1, 1].any()
@@ -33,7 +33,7 @@ def test_an_absent_view_is_marked_absent_and_never_scored(bank, lexicon):
     assert scores[1] < 0.5
 
 
-def same_bank(one, other):
+def compare_banks(one, other):
     for field in fields(MemoryBank):
         left, right = getattr(one, field.name), getattr(other, field.name)
         assert (left is None) == (right is None)
@@ -42,36 +42,16 @@ def same_bank(one, other):
             np.testing.assert_array_equal(left, right)
 
 
-def test_damage_is_refused_by_name(bank):
-    nan, long, ghost = (bank.features.copy() for _ in range(3))
-    nan[0, 1, 3] = np.nan
-    long[1, 0] *= 1.1
-    ghost[1, 1] = ghost[1, 0]
-    for changes, match in (
-        ({"features": nan}, "object 1 in view 1"),
-        ({"features": long}, "object 2 in view 0 has length 1.1"),
-        ({"features": ghost}, "object 2 in view 1 has length 1, expected 0"),
-        ({"features": np.zeros_like(bank.features)}, "length 0, expected 1"),
-        ({"codes": bank.codes * np.float32(np.nan)}, "NaN"),
-        ({"codes": bank.codes + np.float32(1)}, "outside"),
-        ({"codes": np.repeat(bank.codes[:1], 2, axis=0)}, "share one code"),
-        ({"ids": bank.ids[::-1].copy()}, "ascending"),
-        ({"ids": bank.ids - np.int32(1)}, "positive"),
-    ):
-        with pytest.raises(InputError, match=match):
-            replace(bank, **changes)
-
-
-def test_views_maps_and_codes_must_agree(bank, lexicon):
+def test_build_bank_raises_input_error_for_views_without_maps(bank, lexicon):
     image, ids = photograph([(ball(80, 120, 30), RED)])
-    view, margin = view_of(image), np.ones((1, *ids.shape), np.float32)
+    view, margin = make_view(image), np.ones((1, *ids.shape), np.float32)
     maps = LabelMaps(ids[None], margin)
     with pytest.raises(InputError, match="no object"):
         build_bank([view], LabelMaps(np.zeros_like(ids)[None], margin), lexicon, bank.codes[:0])
     with pytest.raises(InputError, match="one map"):
         build_bank([], maps, lexicon, bank.codes[:1])
     with pytest.raises(InputError, match="one map"):
-        build_bank([view_of(image[1:])], maps, lexicon, bank.codes[:1])
+        build_bank([make_view(image[1:])], maps, lexicon, bank.codes[:1])
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +64,10 @@ def pieces():
     second = np.where(first == 5, 4, first)
     groups = np.array([[0, 0, 0, 0, 1], [1, 1, 0, 0, 2], [4, 4, 4, 4, 2]])
     maps = LabelMaps(np.stack([first, second]), np.ones((2, *labels.shape), np.float32))
-    return [view_of(image), view_of(image)], maps, groups, (labels == 1)
+    return [make_view(image), make_view(image)], maps, groups, (labels == 1)
 
 
-def grouped_bank(pieces, lexicon, **changes):
+def build_grouped_bank(pieces, lexicon, **changes):
     views, maps, groups, _ = pieces
     codes = np.linspace(0.1, 0.9, 15).reshape(5, 3)
     arrays = {"groups": groups} | changes
@@ -98,21 +78,21 @@ def test_arrays_round_trip(pieces, lexicon, tmp_path):
     """Features that are stored in half precision equal the built ones, to the last bit."""
     views, maps, _, _ = pieces
     wholes = group_objects([SeenView(view) for view in views], maps).wholes
-    bank = grouped_bank(pieces, lexicon, wholes=wholes)
+    bank = build_grouped_bank(pieces, lexicon, wholes=wholes)
     arrays = bank.to_arrays()
     load_spec("bank").check_arrays(arrays, "bank.npz")
     np.savez(tmp_path / "bank.npz", **arrays)
     with np.load(tmp_path / "bank.npz") as stored:
         assert stored["features"].dtype == stored["group_features"].dtype == np.float16
         restored = MemoryBank.from_arrays(dict(stored))
-    same_bank(restored, bank)
+    compare_banks(restored, bank)
     for name, array in wholes.to_arrays().items():
         np.testing.assert_array_equal(restored.wholes.to_arrays()[name], array)
 
 
-def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
+def test_build_bank_encodes_groups_as_unions(pieces, lexicon):
     views, _, _, labels = pieces
-    bank = grouped_bank(pieces, lexicon)
+    bank = build_grouped_bank(pieces, lexicon)
     # Of the whole ball in two levels there is one group, and of a group of one object none.
     np.testing.assert_array_equal(bank.levels, [[5, 5, 5, 5, 4], [7, 7, 6, 6, 4], [5, 5, 5, 5, 4]])
     expected = lexicon.encode_regions(views[0].image, labels[None])[0]
@@ -121,24 +101,37 @@ def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
     assert features.shape[:2] == present.shape == (8, 2)
     assert present[5:].all() and not present[3, 1]
     # Without groups, all else is the same.
-    bare = grouped_bank(pieces, lexicon, groups=None)
-    same_bank(replace(bank, levels=None, group_features=None), bare)
+    bare = build_grouped_bank(pieces, lexicon, groups=None)
+    compare_banks(replace(bank, levels=None, group_features=None), bare)
     assert bare.nodes[0] is bare.features
-    alone = grouped_bank(pieces, lexicon, groups=np.arange(5)[None])
+    alone = build_grouped_bank(pieces, lexicon, groups=np.arange(5)[None])
     np.testing.assert_array_equal(alone.levels, [np.arange(5)])
     assert alone.group_features.shape == (0, 2, lexicon.width)
 
 
-def test_groups_that_make_no_sense_are_refused(pieces, lexicon):
-    bank = grouped_bank(pieces, lexicon)
-    beyond, changed = bank.levels.copy(), bank.levels.copy()
+def test_invalid_bank_raises_input_error_with_its_name(bank, pieces, lexicon):
+    nan, long, ghost = (bank.features.copy() for _ in range(3))
+    nan[0, 1, 3] = np.nan
+    long[1, 0] *= 1.1
+    ghost[1, 1] = ghost[1, 0]
+    grouped = build_grouped_bank(pieces, lexicon)
+    beyond, changed = grouped.levels.copy(), grouped.levels.copy()
     beyond[0, 0], changed[0, 0] = 8, 1
-    for changes, match in (
-        ({"levels": None}, "go together"),
-        ({"levels": beyond}, "one of the 3 groups, 5 to 7"),
-        ({"levels": changed}, "own row"),
-        ({"group_features": bank.group_features * 2}, "group 0 in view 0 has length 2"),
-        ({"group_features": bank.group_features * np.float32(np.nan)}, "group 0 in view 0"),
+    for valid, changes, match in (
+        (bank, {"features": nan}, "object 1 in view 1"),
+        (bank, {"features": long}, "object 2 in view 0 has length 1.1"),
+        (bank, {"features": ghost}, "object 2 in view 1 has length 1, expected 0"),
+        (bank, {"features": np.zeros_like(bank.features)}, "length 0, expected 1"),
+        (bank, {"codes": bank.codes * np.float32(np.nan)}, "NaN"),
+        (bank, {"codes": bank.codes + np.float32(1)}, "outside"),
+        (bank, {"codes": np.repeat(bank.codes[:1], 2, axis=0)}, "share one code"),
+        (bank, {"ids": bank.ids[::-1].copy()}, "ascending"),
+        (bank, {"ids": bank.ids - np.int32(1)}, "positive"),
+        (grouped, {"levels": None}, "go together"),
+        (grouped, {"levels": beyond}, "one of the 3 groups, 5 to 7"),
+        (grouped, {"levels": changed}, "own row"),
+        (grouped, {"group_features": grouped.group_features * 2}, "group 0 in view 0 has length 2"),
+        (grouped, {"group_features": grouped.group_features * np.float32(np.nan)}, "group 0 in"),
     ):
         with pytest.raises(InputError, match=match):
-            replace(bank, **changes)
+            replace(valid, **changes)

@@ -1,7 +1,5 @@
 """Dense classification: the network compared with PyTorch in float64, and its scores."""
 
-import pickle
-
 import cv2
 import numpy as np
 import pytest
@@ -11,8 +9,8 @@ from torch.nn import functional as F
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.language import classifier, configs, lite0
-from slgaussian.language.classifier import LOG_STEP, evidence, quantised
+from slgaussian.language import classifier, configs
+from slgaussian.language.classifier import LOG_STEP, evidence, quantize
 from slgaussian.language.vocabulary import noun_classes
 
 needs_weights = pytest.mark.skipif(
@@ -26,7 +24,7 @@ def photograph(height=96, width=128):
     return (127 + 120 * np.stack(waves, 2)).astype(np.uint8)
 
 
-def test_regions_have_the_mean_of_their_cells():
+def test_pool_averages_cells_over_regions():
     rng = np.random.default_rng(0)
     cells = rng.normal(size=(3, 4, 7)).astype(np.float32)
     masks = rng.random((5, 12, 16)) > 0.6
@@ -36,10 +34,10 @@ def test_regions_have_the_mean_of_their_cells():
     assert classifier.pool(cells, masks[:0]).shape == (0, 7)
 
 
-def test_evidence_is_the_log_of_how_much_likelier_the_classes_are():
+def test_evidence_is_the_log_ratio_of_class_probabilities():
     rng = np.random.default_rng(1)
     regions, photographs = rng.uniform(-9, -1, (2, 3, 1000)), rng.uniform(-9, -1, (3, 1000))
-    stored = quantised(regions), quantised(photographs)
+    stored = quantize(regions), quantize(photographs)
     lead = evidence(*stored, (4, 9))
     sums = [np.exp(x[..., [4, 9]]).sum(-1) for x in (regions, photographs)]
     assert lead.shape == (2, 3)
@@ -115,7 +113,7 @@ class Lite0(nn.Module):
 
 
 @needs_weights
-def test_network_agrees_with_float64_whatever_the_size_and_the_threads():
+def test_network_equals_the_float64_reference_for_all_sizes_and_threads():
     network = Lite0()
     network.load_state_dict(tensorfile.load(configs.find_weights()))
     network.double().eval()
@@ -138,7 +136,7 @@ def test_network_agrees_with_float64_whatever_the_size_and_the_threads():
 
 
 @needs_weights
-def test_class_map_names_what_a_photograph_shows():
+def test_class_map_ranks_the_banana_of_a_drawing():
     """A banana, drawn: yellow, bent, on white."""
     image = np.full((300, 400, 3), 255, np.uint8)
     cv2.ellipse(image, (200, 60), (140, 150), 0, 20, 160, (240, 210, 60), 50)
@@ -154,20 +152,13 @@ def test_class_map_names_what_a_photograph_shows():
 
 
 @needs_weights
-def test_refuses_other_weights(tmp_path):
+def test_classifier_raises_input_error_for_other_weights(tmp_path):
     (tmp_path / "weights.pth").write_bytes(b"others")
     with pytest.raises(InputError, match=r"is not the file of .* install it again"):
         classifier.Classifier(tmp_path / "weights.pth")
 
 
-def test_weights_that_name_code_run_nothing(tmp_path):
-    file = tmp_path / "weights.pth"
-    file.write_bytes(pickle.dumps(cv2.imread))
-    with pytest.raises(KeyError, match="imread"):
-        lite0.read_weights(file)
-
-
-def test_nouns_above_mean_all_that_they_hold():
+def test_hypernyms_have_the_classes_of_their_hyponyms():
     table = noun_classes()
     assert {954, 948} <= set(table["fruit"])
     assert {559, 831} <= set(table["furniture"])

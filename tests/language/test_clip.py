@@ -13,7 +13,6 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from small_clip import SIDE, WIDTH, clip_model, save_clip, save_tokenizer
 
-from slgaussian.components.pretrained import model_digest, tokenizer_digest
 from slgaussian.errors import InputError
 from slgaussian.language import load_encoder
 from slgaussian.language.clip import MEAN, STD, region_crop
@@ -72,7 +71,7 @@ def expected_crop(image, mask):
 
 
 @pytest.mark.parametrize("i", [0, 5])
-def test_a_region_is_shown_on_a_black_square(i):
+def test_region_crop_pads_to_a_black_square(i):
     image, mask = picture(), regions()[i]
     expected = expected_crop(image, mask)
     actual = region_crop(image, mask, len(expected), context=False)
@@ -95,7 +94,7 @@ def reference_regions(network, image, masks, context=False):
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def test_regions_are_what_transformers_says_in_float64(folder, clip, in_float64):
+def test_encode_regions_equals_transformers_in_float64(folder, clip, in_float64):
     image, masks = picture(), regions()
     actual = clip.encode_regions(image, masks)
     assert actual.dtype == np.float32 and actual.shape == (6, WIDTH)
@@ -114,7 +113,7 @@ def test_regions_are_what_transformers_says_in_float64(folder, clip, in_float64)
 TEXTS = ["red basket", "Red  BASKET", "things", "Pokémon 球 🎈", "it's 23.5% wool!"]
 
 
-def test_texts_are_what_transformers_says_in_float64(clip, in_float64, folder):
+def test_encode_text_equals_transformers_in_float64(clip, in_float64, folder):
     words = transformers.CLIPTokenizer.from_pretrained(folder, local_files_only=True)
     actual = clip.encode_text(TEXTS)
     assert actual.dtype == np.float32 and actual.shape == (5, WIDTH)
@@ -132,7 +131,7 @@ def test_texts_are_what_transformers_says_in_float64(clip, in_float64, folder):
     assert (actual[1:] @ actual[1:].T).min() < 0.9
 
 
-def test_same_bytes_in_any_company(clip):
+def test_encoding_does_not_depend_on_other_regions_and_texts(clip):
     image, masks = picture(), regions()
     actual = clip.encode_regions(image, masks)
     assert np.array_equal(clip.encode_regions(image, masks[::-1])[::-1], actual)
@@ -150,7 +149,7 @@ def test_same_bytes_in_any_company(clip):
         ({"precision": "bfloat16"}, 1e-5, 0.03),  # 8 bits in each of a few dozen sums
     ],
 )
-def test_batch_and_precision_change_rounding_alone(folder, clip, settings, least, most):
+def test_batch_and_precision_change_rounding_only(folder, clip, settings, least, most):
     other = load_encoder("clip", model=folder, **settings)
     assert other.network is clip.network  # loaded once
     actual, fine = (encoder.encode_regions(picture(), regions()) for encoder in (other, clip))
@@ -160,7 +159,7 @@ def test_batch_and_precision_change_rounding_alone(folder, clip, settings, least
 
 @hypothesis_settings(max_examples=60, deadline=None)
 @given(text=st.text(max_size=40))
-def test_any_text_has_a_direction_or_is_refused(clip, text):
+def test_encode_text_gives_a_unit_vector_or_one_line_error(clip, text):
     try:
         actual = clip.encode_text([text])
     except InputError as error:
@@ -178,7 +177,7 @@ def test_any_text_has_a_direction_or_is_refused(clip, text):
         ("\ud800", "is not valid text"),
     ],
 )
-def test_a_text_that_cannot_be_read_is_refused(clip, text, says):
+def test_encode_text_raises_input_error_for_unreadable_texts(clip, text, says):
     with pytest.raises(InputError, match=says) as error:
         clip.encode_text(["red", text])
     assert "\n" not in str(error.value) and len(str(error.value)) < 250
@@ -195,13 +194,13 @@ def test_a_text_that_cannot_be_read_is_refused(clip, text, says):
         ({"tokenizer": __file__}, "tokenizer .*: there is no such folder"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(folder, settings, says):
+def test_invalid_settings_raise_one_sentence(folder, settings, says):
     with pytest.raises(InputError, match=says) as error:
         load_encoder("clip", **{"model": folder, **settings})
     assert "\n" not in str(error.value)
 
 
-def test_another_kind_of_model_is_named(folder, tmp_path):
+def test_model_of_another_type_raises_input_error(folder, tmp_path):
     shutil.copytree(folder, tmp_path / "model")
     config = tmp_path / "model" / "config.json"
     config.write_text(json.dumps({**json.loads(config.read_text()), "model_type": "siglip"}))
@@ -209,7 +208,7 @@ def test_another_kind_of_model_is_named(folder, tmp_path):
         load_encoder("clip", model=tmp_path / "model")
 
 
-def test_a_tokenizer_is_beside_the_model_or_named(folder, clip, tmp_path):
+def test_tokenizer_is_read_beside_the_model_or_from_its_setting(folder, clip, tmp_path):
     alone = shutil.copytree(folder, tmp_path / "model")
     for name in ("vocab.json", "merges.txt"):
         (alone / name).unlink()
@@ -232,7 +231,7 @@ def test_a_tokenizer_is_beside_the_model_or_named(folder, clip, tmp_path):
         load_encoder("clip", model=tmp_path / "other", tokenizer=folder)
 
 
-def test_colours_are_normalised_as_the_model_says(folder, clip, tmp_path):
+def test_normalisation_follows_the_preprocessor_file(folder, clip, tmp_path):
     """LAION's ViT-L/14 of laion2B-s32B is one that was trained with other constants than CLIP's."""
     shutil.copytree(folder, tmp_path / "model")
     file = tmp_path / "model" / "preprocessor_config.json"
@@ -244,7 +243,7 @@ def test_colours_are_normalised_as_the_model_says(folder, clip, tmp_path):
         load_encoder("clip", model=tmp_path / "model")
 
 
-def test_configurations_from_before_the_end_token_was_a_setting(folder, clip, tmp_path):
+def test_old_configuration_with_end_token_2_encodes_equally(folder, clip, tmp_path):
     shutil.copytree(folder, tmp_path / "model")
     config = json.loads((folder / "config.json").read_text())
     config["text_config"]["eos_token_id"] = 2
@@ -253,19 +252,7 @@ def test_configurations_from_before_the_end_token_was_a_setting(folder, clip, tm
     assert np.array_equal(actual, clip.encode_text(TEXTS))
 
 
-def test_a_model_is_known_by_what_it_is_read_with(folder, tmp_path):
-    digest = model_digest(folder)
-    copy = shutil.copytree(folder, tmp_path / "copy")
-    (copy / "README.md").write_text("about")
-    assert model_digest(copy) == digest
-    assert tokenizer_digest(copy) == tokenizer_digest(folder) != digest
-    merges = (copy / "merges.txt").read_text("utf-8")
-    (copy / "merges.txt").write_text(merges + "b l\n", "utf-8")
-    assert model_digest(copy) != digest
-    assert tokenizer_digest(copy) != tokenizer_digest(folder)
-
-
-def test_a_name_is_found_in_the_cache(folder, clip, tmp_path, monkeypatch):
+def test_load_encoder_finds_a_hub_name_in_the_cache(folder, clip, tmp_path, monkeypatch):
     from huggingface_hub import constants
 
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
@@ -279,7 +266,7 @@ def test_a_name_is_found_in_the_cache(folder, clip, tmp_path, monkeypatch):
     assert np.array_equal(load_encoder("clip").encode_text(TEXTS), clip.encode_text(TEXTS))
 
 
-def test_without_transformers_the_extra_is_named(folder, monkeypatch):
+def test_missing_transformers_raises_input_error_with_the_extra(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(
         InputError, match=r"clip: needs the package transformers.*`pip install 'transformers"

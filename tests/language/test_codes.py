@@ -24,7 +24,7 @@ from slgaussian.language.nearest import nearest_code
     ("n", "side"),
     [(2, 2), (8, 2), (9, 3), (27, 3), (28, 4), (1000, 10), (1001, 11), (10_000, 22)],
 )
-def test_codes_are_distinct_points_of_the_smallest_grid_that_holds_them(n, side):
+def test_grid_codes_are_distinct_points_of_the_smallest_grid(n, side):
     codes = grid_codes(n, np.random.default_rng(0))
     assert codes.shape == (n, 3) and codes.dtype == np.float32
     assert len(np.unique(codes, axis=0)) == n
@@ -43,7 +43,7 @@ def label_maps(labels: np.ndarray) -> LabelMaps:
     return LabelMaps(labels, np.ones(labels.shape, np.float32))
 
 
-def maps_of(n: int) -> LabelMaps:
+def make_maps(n: int) -> LabelMaps:
     """Two views of ``n`` small squares side by side, ids far apart."""
     side = int(np.ceil(np.sqrt(n)))
     squares = np.arange(side * side).reshape(side, side) * 7 + 3
@@ -54,8 +54,8 @@ def maps_of(n: int) -> LabelMaps:
 
 @pytest.mark.parametrize("name", sorted(CODES))
 @pytest.mark.parametrize("n", [1, 2, 3, 27, 28, 10_000])
-def test_every_strategy_gives_every_object_a_code_of_its_own(name, n):
-    maps = maps_of(n)
+def test_code_strategies_give_distinct_codes(name, n):
+    maps = make_maps(n)
     assert len(maps.ids) == n
     codes, repeated = (load_codes(name)(maps, np.random.default_rng(4)) for _ in range(2))
     assert codes.dtype == np.float32
@@ -79,7 +79,7 @@ def cells(n: int, seed: int) -> LabelMaps:
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_a_third_code_is_read_if_and_only_if_it_is_in_the_ball(seed):
+def test_mixture_decodes_to_a_third_code_only_inside_the_ball(seed):
     """The assumption of the placement, tested with 200 mixtures of two codes."""
     rng = np.random.default_rng(seed)
     a, b, c = codes = rng.random((3, 3))
@@ -91,7 +91,7 @@ def test_a_third_code_is_read_if_and_only_if_it_is_in_the_ball(seed):
     assert third == (far < radius)
 
 
-def test_neighbours_are_counted_near_and_through_what_is_not_labelled():
+def test_neighbours_count_pairs_across_unlabelled_pixels():
     labels = np.zeros((3, 9), np.int64)
     labels[:, 0:2], labels[:, 2:4], labels[:, 6:9] = 5, 8, 11
     pairs = neighbours(label_maps(labels))
@@ -107,7 +107,7 @@ def test_neighbours_are_counted_near_and_through_what_is_not_labelled():
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(2, 25), st.integers(0, 2**32 - 1))
-def test_the_names_of_objects_do_not_matter(n, seed):
+def test_separated_codes_do_not_depend_on_ids(n, seed):
     maps = cells(n, seed)
     names = np.cumsum(np.random.default_rng(seed).integers(1, 10**7, n)).astype(np.int64)
     renamed = label_maps(names[maps.labels - 1]) if len(maps.ids) == n else maps
@@ -115,7 +115,7 @@ def test_the_names_of_objects_do_not_matter(n, seed):
     np.testing.assert_array_equal(*codes)
 
 
-def misread(codes: np.ndarray, pairs: Pairs) -> float:
+def measure_confusion(codes: np.ndarray, pairs: Pairs) -> float:
     """Compute the fraction of mixtures of two neighbours that decode to a third object."""
     a, b = pairs.rows.T
     shares = ((np.arange(16) + 0.5) / 16)[:, None, None]
@@ -123,15 +123,15 @@ def misread(codes: np.ndarray, pairs: Pairs) -> float:
     return float((((nearest != a) & (nearest != b)) * pairs.weights).sum() / 16)
 
 
-def test_fewer_mixtures_read_as_a_third_object_than_with_the_grid():
+def test_separated_codes_confuse_fewer_mixtures_than_grid_codes():
     """Measured: 0.17 of it."""
     pairs = neighbours(cells(20, 20))
-    ours = misread(place(20, pairs, np.random.default_rng(0)), pairs)
-    grids = [misread(grid_codes(20, np.random.default_rng(s)), pairs) for s in range(8)]
+    ours = measure_confusion(place(20, pairs, np.random.default_rng(0)), pairs)
+    grids = [measure_confusion(grid_codes(20, np.random.default_rng(s)), pairs) for s in range(8)]
     assert ours <= 0.3 * np.mean(grids)
 
 
-def plain_annealing(points, assignment, pairs, weights, moves):
+def anneal_plainly(points, assignment, pairs, weights, moves):
     """Float64, all codes against all balls for every move."""
     assignment = assignment.copy()
     weights = weights / weights.sum()
@@ -158,7 +158,7 @@ def plain_annealing(points, assignment, pairs, weights, moves):
 
 
 @pytest.mark.parametrize("n", [7, 12])
-def test_annealing_takes_the_moves_of_a_plain_one(n):
+def test_annealing_equals_the_float64_reference(n):
     rng = np.random.default_rng(n)
     points, moves = checkerboard(n), 1500
     pairs = np.argwhere(np.triu(rng.random((n, n)) < 0.5, 1))
@@ -166,7 +166,7 @@ def test_annealing_takes_the_moves_of_a_plain_one(n):
     weights /= weights.sum()
     assignment = rng.permutation(len(points))[:n]
     draws = rng.integers(n, size=moves), rng.integers(len(points), size=moves), rng.random(moves)
-    plain = plain_annealing(
+    plain = anneal_plainly(
         points.astype(float), assignment, pairs, weights, list(zip(*draws, strict=True))
     )
     assert (plain != assignment).any()
@@ -174,7 +174,7 @@ def test_annealing_takes_the_moves_of_a_plain_one(n):
     np.testing.assert_array_equal(assignment, plain)
 
 
-def test_objects_that_nothing_touches_get_codes_too():
+def test_separated_codes_of_isolated_objects_are_distinct():
     labels = np.zeros((1, 200))
     labels[0, ::40] = [1, 2, 3, 4, 5]
     alone = Separated()(label_maps(labels), np.random.default_rng(0))

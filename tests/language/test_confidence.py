@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.language.confidence import (
+from slgaussian.language.answer import (
     MIN_POINT_PROBABILITY,
     STD_OFFSET,
     TYPICAL_STAND_OUT,
@@ -38,17 +38,13 @@ APART = np.sqrt(2 * 0.02**2 / 3) + STD_OFFSET  # deviation of 0.02, 0, -0.02
         ([0.1, 0], 1, 1, 1, Signs(0.1, TYPICAL_STAND_OUT, 0)),
     ],
 )
-def test_signs_are_evidence_deviations_above_the_rest_and_parts(
-    gaps, selected, measurements, parts, expected
-):
+def test_signs_measure_evidence_contrast_and_parts(gaps, selected, measurements, parts, expected):
     chosen = np.arange(len(gaps)) < selected
     assert signs(np.array(gaps), chosen, measurements, parts) == pytest.approx(expected)
 
 
 @given(small, small, st.floats(-5, 5), st.integers(1, 20), st.integers(1, 30), st.integers(0, 30))
-def test_curves_rise_with_the_gap_fall_with_the_parts_and_are_probabilities(
-    one, other, out, measurements, parts, more
-):
+def test_curves_rise_with_evidence_and_fall_with_parts(one, other, out, measurements, parts, more):
     low, high = (gap * measurements for gap in sorted((one, other)))
     for curve in (CALIBRATION.mask, CALIBRATION.point):
         log_parts, log_more_parts = np.log(parts), np.log(parts + more)
@@ -56,7 +52,7 @@ def test_curves_rise_with_the_gap_fall_with_the_parts_and_are_probabilities(
         assert curve(Signs(low, out, log_more_parts)) <= curve(Signs(low, out, log_parts))
 
 
-def test_the_lexicon_counts_what_a_text_asks_for():
+def test_understand_counts_the_measurements_of_a_text():
     lexicon = Lexicon()
     alone = lexicon.understand("chair").measurements
     measurements = np.count_nonzero(lexicon.encode_text(["chair"])[0][:-1])
@@ -74,11 +70,11 @@ def test_the_lexicon_counts_what_a_text_asks_for():
         (0.9, MIN_POINT_PROBABILITY - 1e-6, "not here"),
     ],
 )
-def test_the_verdict(mask, point, verdict):
+def test_verdict_follows_mask_and_point_probability(mask, point, verdict):
     assert Confidence(mask, point).verdict == verdict
 
 
-def test_each_curve_gives_its_own_probability():
+def test_calibration_gives_a_probability_per_curve():
     """By hand: 2 * 0.1 + 0.5 * 2 - 0.3 * 1 + 0.4 * 3 - 1 is 1.1."""
     calibration = Calibration(Curve(2, 0.5, -0.3, 0.4, -1), Curve(0, 0, 0, 0, -1))
     sure = calibration(Signs(0.1, 2, 1, 3))

@@ -9,7 +9,7 @@ from slgaussian.language.descriptors import ROOM, SURFACES
 
 
 @pytest.mark.parametrize("two_tone", [0.7, 0.75, 0.78])
-def test_stripes_need_two_tones_from_six_to_eight_tenths_of_the_variance(two_tone):
+def test_striped_evidence_rises_with_two_tone_variance(two_tone):
     """Two tones 40 apart, each in halves: of the variance 20^2 + off^2 they explain 20^2."""
     off = 20 * np.sqrt(1 / two_tone - 1)
     row = np.tile(np.repeat([20 + off, 20 - off, -20 + off, -20 - off], 5), 5)
@@ -21,7 +21,7 @@ def test_stripes_need_two_tones_from_six_to_eight_tenths_of_the_variance(two_ton
 
 
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
-def test_a_region_is_sheer_by_the_share_of_its_upright_surfaces(share):
+def test_sheer_evidence_rises_with_the_share_of_upright_surfaces(share):
     level = np.ones((10, 20))
     level.ravel()[: round(share * level.size)] = 0.0
     nowhere = np.full((10, 20), np.nan)

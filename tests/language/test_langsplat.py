@@ -9,13 +9,13 @@ from scipy import ndimage
 from slgaussian.language import langsplat
 
 
-def plain_smoothed(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
+def filter_plainly(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
     return ndimage.uniform_filter(relevancy.astype(np.float64), side, mode="mirror")
 
 
-def plain_mask(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
+def find_mask_plainly(relevancy: np.ndarray, side: int = 30) -> np.ndarray:
     """Compute the mask step by step, the majority by counting pixels of each window."""
-    blend = 0.5 * (plain_smoothed(relevancy, side) + relevancy)
+    blend = 0.5 * (filter_plainly(relevancy, side) + relevancy)
     stretched = (blend - blend.min()) / (blend.max() - blend.min() + 1e-9)
     above = np.clip(2 * stretched - 1, 0, 1) > 0.4
     out = np.zeros_like(above)
@@ -37,25 +37,25 @@ def objects_image(seed: int, shape: tuple[int, int]) -> np.ndarray:
 @given(
     st.integers(0, 2**32 - 1), st.integers(1, 90), st.integers(1, 90), st.sampled_from([1, 17, 30])
 )
-def test_the_smoothed_image_is_that_of_the_plain_filter(seed, height, width, side):
+def test_smooth_equals_scipy_uniform_filter(seed, height, width, side):
     """SciPy's filter keeps running sums, with an error of about 1e-15 for each pixel."""
     relevancy = np.random.default_rng(seed).random((height, width))
     got = langsplat.smoothed(relevancy, side)
     assert got.shape == relevancy.shape
-    np.testing.assert_allclose(got, plain_smoothed(relevancy, side), atol=2**-30)
+    np.testing.assert_allclose(got, filter_plainly(relevancy, side), atol=2**-30)
 
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("side", [30, 17])
-def test_the_mask_is_that_of_the_plain_steps(seed, side):
+def test_find_mask_equals_the_reference_steps(seed, side):
     relevancy = objects_image(seed, (60, 85))
     got = langsplat.find_mask(relevancy, side)
     assert got.dtype == bool and 0 < got.mean() < 1
-    np.testing.assert_array_equal(got, plain_mask(relevancy, side))
+    np.testing.assert_array_equal(got, find_mask_plainly(relevancy, side))
     assert not langsplat.find_mask(np.full((50, 60), 0.7)).any()  # of one value there is none
 
 
-def test_the_point_is_the_plateaus_pixel_nearest_its_centroid():
+def test_find_point_takes_the_plateau_pixel_nearest_its_centroid():
     relevancy = np.zeros((200, 260))
     relevancy[60:120, 100:171] = 0.9
     point, peak = langsplat.find_point(relevancy)
@@ -67,7 +67,7 @@ def test_the_point_is_the_plateaus_pixel_nearest_its_centroid():
     assert point == (135, 90)
 
 
-def test_the_same_values_tie_wherever_they_lie():
+def test_smooth_gives_equal_windows_equal_values():
     """Running sums of floats would prefer one of two equal windows by their rounding."""
     rng = np.random.default_rng(0)
     relevancy = np.zeros((120, 400))

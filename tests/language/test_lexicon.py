@@ -15,10 +15,10 @@ from drawn import (
     WHITE,
     WIDTH,
     ball,
-    bank_of,
     box,
     cone,
     find,
+    make_bank,
     paint,
     photograph,
     segment,
@@ -43,7 +43,7 @@ def scores(lexicon, text: str, image: np.ndarray, masks: list[np.ndarray]) -> np
     return lexicon.encode_regions(image, np.array(masks)) @ lexicon.encode_text([text])[0]
 
 
-def test_every_word_encodes_to_a_unit_vector_and_its_plural_to_the_same(lexicon):
+def test_words_and_their_plurals_encode_to_equal_unit_vectors(lexicon):
     for spelling, word in VOCABULARY.words.items():
         vector = lexicon.encode_text([spelling])[0]
         assert np.linalg.norm(vector) == pytest.approx(1, abs=1e-6), spelling
@@ -52,7 +52,7 @@ def test_every_word_encodes_to_a_unit_vector_and_its_plural_to_the_same(lexicon)
             np.testing.assert_array_equal(vector, lexicon.encode_text([spelling + "s"])[0])
 
 
-def test_words_ask_for_the_descriptors_that_are_measured():
+def test_words_use_every_measurement_and_no_other():
     names = set(Descriptors(ColourNames(VOCABULARY.colours), VOCABULARY.groups).names)
     assert {name for word in VOCABULARY.words.values() for name in word.weights} == names
 
@@ -79,7 +79,7 @@ def test_no_spelling_has_two_roles():
     assert {*nouns, "class"} == NOUN_FAMILIES
 
 
-def test_every_word_of_the_procedural_scenes_is_known(lexicon):
+def test_understand_knows_all_words_of_procedural_scenes(lexicon):
     assert not any(lexicon.understand(word).unknown for word in PROCEDURAL_WORDS)
 
 
@@ -95,7 +95,7 @@ def test_every_word_of_the_procedural_scenes_is_known(lexicon):
         ("red ball " * 5_000, "red ball"),
     ],
 )
-def test_texts_that_mean_the_same_encode_the_same(lexicon, text, same):
+def test_synonyms_encode_to_equal_vectors(lexicon, text, same):
     np.testing.assert_array_equal(*lexicon.encode_text([text, same]))
 
 
@@ -132,7 +132,7 @@ def test_texts_that_mean_the_same_encode_the_same(lexicon, text, same):
         ("cup, small and old", "cup small", ("old",), ()),
     ],
 )  # fmt: skip
-def test_a_text_is_read_as_one_thing_and_what_describes_it(lexicon, text, read_as, unused, unknown):
+def test_understand_reads_one_noun_and_its_descriptions(lexicon, text, read_as, unused, unknown):
     understood = lexicon.understand(text)
     assert understood.read_as == read_as
     assert tuple(understood.unused) == unused
@@ -152,7 +152,7 @@ def test_a_text_is_read_as_one_thing_and_what_describes_it(lexicon, text, read_a
         ("red", "", set()),
     ],
 )
-def test_the_noun_of_a_text_has_its_classes(lexicon, text, noun, classes):
+def test_read_returns_noun_and_imagenet_classes(lexicon, text, noun, classes):
     reading = VOCABULARY.read(text)
     assert (reading.noun, set(reading.classes)) == (noun, classes)
     assert lexicon.understand(text).classes == reading.classes
@@ -168,7 +168,7 @@ def test_the_noun_of_a_text_has_its_classes(lexicon, text, noun, classes):
         (("beige building and tree", "a chair and a qwxyz", "cups and mugs"), "asks for two"),
     ],
 )
-def test_a_text_that_cannot_be_used_is_refused(lexicon, texts, sentence):
+def test_encode_text_raises_input_error_for_unusable_texts(lexicon, texts, sentence):
     for text in texts:
         with pytest.raises(InputError, match=sentence) as error:
             lexicon.encode_text(["red", text])
@@ -186,12 +186,12 @@ def test_a_text_that_cannot_be_used_is_refused(lexicon, texts, sentence):
         ("red", False, ""),
     ],
 )
-def test_of_what_nothing_is_known_nothing_is_told(lexicon, text, by_class, sentence):
+def test_understand_gives_a_reason_for_texts_it_cannot_answer(lexicon, text, by_class, sentence):
     reason = lexicon.understand(text, by_class).untold
     assert reason.startswith(sentence) and bool(reason) == bool(sentence)
 
 
-def test_how_a_word_is_known_is_explained():
+def test_explain_lists_look_and_classes():
     is_known, reason = VOCABULARY.explain("red radiator")
     assert (
         is_known
@@ -207,7 +207,7 @@ def test_how_a_word_is_known_is_explained():
 
 @settings(max_examples=150, deadline=None)
 @given(st.text(max_size=60))
-def test_any_text_gives_a_unit_vector_or_one_clear_error(lexicon, text):
+def test_encode_text_gives_a_unit_vector_or_input_error(lexicon, text):
     try:
         vector = lexicon.encode_text([text])[0]
     except InputError as error:
@@ -254,7 +254,7 @@ def under_light(rgb: tuple[int, int, int], share: float) -> np.ndarray:
     return np.round(np.clip(srgb, 0, 1) * 255).astype(np.uint8)
 
 
-def test_a_typical_colour_has_its_name_and_keeps_it_in_the_shade(names):
+def test_colour_names_hold_in_the_shade(names):
     assert set(FOCAL) == set(names.names)
     for name, rgb in FOCAL.items():
         memberships = names(np.array(rgb, np.uint8))
@@ -265,7 +265,7 @@ def test_a_typical_colour_has_its_name_and_keeps_it_in_the_shade(names):
             assert names.names[names(under_light(FOCAL[name], share)).argmax()] == name
 
 
-def test_memberships_are_those_of_plain_distances(names):
+def test_memberships_equal_the_float64_reference(names):
     rgb = np.random.default_rng(1).integers(0, 256, (40, 3)).astype(np.uint8)
     # Cells of four steps are named by their middles.
     lab = colours.to_lab(((rgb[None] // 4 + 0.5) / 64).astype(np.float64))[0].astype(np.float64)
@@ -294,13 +294,13 @@ ARRANGED = {
 
 
 @pytest.fixture(scope="module")
-def arranged(lexicon):
+def arrangement(lexicon):
     image, ids = photograph(list(ARRANGED.values()))
-    return ids, bank_of([image], [ids], lexicon)
+    return ids, make_bank([image], [ids], lexicon)
 
 
-def test_the_object_that_has_every_attribute_comes_first(lexicon, arranged):
-    ids, bank = arranged
+def test_query_ranks_the_object_with_all_attributes_first(lexicon, arrangement):
+    ids, bank = arrangement
     for number, text in enumerate(ARRANGED, 1):
         assert find(text, ids, bank, lexicon).objects[0][0] == number
     # A vague text does not outbid a precise one that fits.
@@ -311,7 +311,7 @@ def test_the_object_that_has_every_attribute_comes_first(lexicon, arranged):
 
 
 @pytest.mark.parametrize("pattern", ["striped", "checked"])
-def test_a_pattern_that_runs_around_a_ring_is_seen(lexicon, pattern):
+def test_pattern_around_a_ring_has_positive_evidence(lexicon, pattern):
     image, _ = photograph([])
     y, x = np.mgrid[:HEIGHT, :WIDTH] - np.array([120, 160])[:, None, None]
     radius, sector = np.hypot(x, y), np.floor(np.arctan2(y, x) / np.pi * 8)
@@ -354,7 +354,7 @@ def test_a_picture_is_varied_where_a_pattern_is_not(lexicon):
     assert picture > max(0, *rest)
 
 
-def test_a_room_is_told_apart(lexicon):
+def test_query_points_at_each_part_of_a_room(lexicon):
     area = np.zeros((HEIGHT, WIDTH), bool)
     ceiling, wall, floor, door = (area.copy() for _ in range(4))
     ceiling[:40], wall[40:150], floor[150:] = True, True, True
@@ -365,14 +365,14 @@ def test_a_room_is_told_apart(lexicon):
             (door, (25, 24, 26)), (ball(90, 200, 18), RED),
         ]
     )  # fmt: skip
-    bank = bank_of([image], [ids], lexicon)
+    bank = make_bank([image], [ids], lexicon)
     texts = ["ceiling", "wall", "floor", "door", "ball"]
     for i, text in enumerate(texts, 1):
         hit = find(text, ids, bank, lexicon)
         assert ids[hit.point[1], hit.point[0]] == i, text
 
 
-def test_left_and_right_are_told_apart(lexicon):
+def test_words_for_places_select_left_right_and_middle(lexicon):
     masks = [ball(40, 60, 20), ball(160, 100, 20), ball(280, 60, 20)]
     image, _ = photograph([(mask, GREEN) for mask in masks])
     assert scores(lexicon, "ball on the left", image, masks).argmax() == 0
@@ -380,7 +380,7 @@ def test_left_and_right_are_told_apart(lexicon):
     assert scores(lexicon, "ball in the middle", image, masks).argmax() == 1
 
 
-def test_the_room_tells_a_table_top_from_a_board_on_the_wall(lexicon):
+def test_surroundings_separate_a_table_top_from_a_board_on_the_wall(lexicon):
     boards = [box(80, 60, 30), box(240, 180, 30)]
     image, _ = photograph([(mask, (150, 105, 65)) for mask in boards])
     height = np.full((HEIGHT, WIDTH), 0.5, np.float32)
@@ -410,7 +410,7 @@ def test_regions_are_unit_vectors_down_to_one_pixel(lexicon):
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1, atol=1e-6)
 
 
-def test_encoding_is_the_same_whatever_else_is_encoded(lexicon):
+def test_encode_regions_does_not_depend_on_other_regions(lexicon):
     image, ids = photograph(list(ARRANGED.values()))
     masks = np.stack([ids == i for i in range(1, 9)])
     together = lexicon.encode_regions(image, masks)

@@ -9,7 +9,7 @@ from slgaussian.errors import InputError
 from slgaussian.language.nearest import nearest_code
 
 
-def test_values_and_codes_that_do_not_fit_are_refused():
+def test_nearest_code_raises_input_error_for_invalid_arrays():
     values = np.zeros((4, 5, 3), np.float32)
     for bad in (np.zeros((0, 3)), np.zeros((2, 2)), np.zeros((2, 4))):
         with pytest.raises(InputError, match="nearest code"):
@@ -24,7 +24,7 @@ def test_values_and_codes_that_do_not_fit_are_refused():
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 60), st.sampled_from([4, 16, 0]), st.integers(0, 2**32 - 1))
-def test_any_codes_and_values(n, steps, seed):
+def test_nearest_code_equals_brute_force(n, steps, seed):
     """On a coarse grid (``steps``) most values are as near to several codes."""
     rng = np.random.default_rng(seed)
     codes, values = rng.random((n, 3)), rng.uniform(-0.5, 1.5, (20, 15, 3))

@@ -13,7 +13,7 @@ from slgaussian.language.objectmap import ObjectMap, central_point
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int32, np.uint32, np.int64])
 @pytest.mark.parametrize("n", [1, 5, 70_000])
-def test_values_spread_by_id(n, dtype):
+def test_spread_maps_values_by_id(n, dtype):
     rng = np.random.default_rng(n)
     top = min(np.iinfo(dtype).max, 2_000_000_000)
     n = min(n, 200) if dtype is np.uint8 else n
@@ -48,7 +48,7 @@ def test_values_spread_by_id(n, dtype):
         ([2, 7], r"int64 \(2,\)"),
     ],
 )
-def test_a_map_of_other_objects_is_refused(shown, sentence):
+def test_object_map_raises_input_error_for_unknown_ids(shown, sentence):
     with pytest.raises(InputError, match=sentence):
         ObjectMap(np.array(shown), np.array([2, 7], np.int32))
 
@@ -57,7 +57,7 @@ def test_a_map_of_other_objects_is_refused(shown, sentence):
     arrays(np.int8, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.integers(0, 3)),
     st.integers(0, 2**32 - 1),
 )
-def test_parts_are_the_regions_of_the_mask_where_objects_are_in_one_piece(image, seed):
+def test_parts_counts_connected_components(image, seed):
     """Against SciPy's labels of pixels: a pixel touches four others."""
     labels = np.zeros(image.shape, np.int32)
     for value in (1, 2, 3):
@@ -75,7 +75,7 @@ def test_parts_are_the_regions_of_the_mask_where_objects_are_in_one_piece(image,
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.02, 1), st.floats(0, 4))
-def test_the_located_point_follows_its_definition(seed, density, blur):
+def test_central_point_is_farthest_from_the_outside(seed, density, blur):
     rng = np.random.default_rng(seed)
     noise = ndimage.gaussian_filter(rng.random(rng.integers(1, 60, 2)), blur)
     region = noise <= np.quantile(noise, density)

@@ -78,7 +78,7 @@ SMALL = {"hidden_size": 64, "num_attention_heads": 1, "num_hidden_layers": 1}
         {**SMALL, "hidden_size": 1024, "num_attention_heads": 16, "intermediate_size": 8},
     ],
 )
-def test_the_converted_model_says_the_same(sizes):
+def test_convert_gives_the_outputs_of_the_transformers_model(sizes):
     model = clip_model(548, **sizes)
     actual = convert(as_open_clip(model), {}, "x").eval()
     # The same operations on the same numbers in the same order.
@@ -100,7 +100,7 @@ HEADS = {"vision_cfg": {"head_width": 32, "layers": 2}, "text_cfg": {"heads": 1}
         ({"num_attention_heads": 4}, {}, False),
     ],
 )
-def test_activation_and_heads_are_those_of_the_configuration(sizes, config, same):
+def test_convert_takes_activation_and_heads_from_the_configuration(sizes, config, same):
     model = clip_model(548, **sizes)
     actual = convert(as_open_clip(model), config, "x").eval()
     assert torch.equal(answers(actual)[0], answers(model)[0]) == same
@@ -162,7 +162,7 @@ def encode_all(encoder):
 
 
 @pytest.fixture(scope="module")
-def expected(model, tokens, tmp_path_factory):
+def reference_vectors(model, tokens, tmp_path_factory):
     folder = tmp_path_factory.mktemp("folder")
     shutil.copytree(tokens, folder, dirs_exist_ok=True)
     model.save_pretrained(folder)
@@ -170,16 +170,16 @@ def expected(model, tokens, tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["clip.safetensors", "epoch_7.pt"])
-def test_a_file_is_converted(tensors, tokens, expected, tmp_path, name):
+def test_load_encoder_reads_a_checkpoint_file(tensors, tokens, reference_vectors, tmp_path, name):
     content = tensors
     if name == "epoch_7.pt":
         state = {f"module.{key}": tensor for key, tensor in tensors.items()}
         content = {"epoch": 7, "name": "run", "state_dict": state, "optimizer": {"lr": [0.1]}}
     file = save(content, beside(tokens, tmp_path) / name)
-    assert np.array_equal(encode_all(load_encoder("clip", model=file)), expected)
+    assert np.array_equal(encode_all(load_encoder("clip", model=file)), reference_vectors)
 
 
-def test_weights_in_half_precision_are_read_as_they_are(tensors, model, tokens, tmp_path):
+def test_load_encoder_reads_half_precision_weights_as_float32(tensors, model, tokens, tmp_path):
     halves = {name: tensor.half() for name, tensor in tensors.items()}
     actual = load_encoder("clip", model=save(halves, beside(tokens, tmp_path) / "half.pt"))
     assert actual.network.dtype == torch.float32
@@ -188,14 +188,16 @@ def test_weights_in_half_precision_are_read_as_they_are(tensors, model, tokens, 
 
 
 @pytest.mark.parametrize("name", ["open_clip_model.safetensors", "open_clip_pytorch_model.bin"])
-def test_a_folder_says_how_colours_are_normalised(tensors, tokens, expected, tmp_path, name):
+def test_load_encoder_takes_normalisation_from_the_folder(
+    tensors, tokens, reference_vectors, tmp_path, name
+):
     save(tensors, (folder := beside(tokens, tmp_path, CONFIG)) / name)
     actual = encode_all(load_encoder("clip", model=folder))
-    assert np.array_equal(actual[3:], expected[3:])
-    assert np.abs(actual[:3] - expected[:3]).max() > 0.01
+    assert np.array_equal(actual[3:], reference_vectors[3:])
+    assert np.abs(actual[:3] - reference_vectors[:3]).max() > 0.01
 
 
-def test_tensors_of_openais_checkpoints_have_sizes_and_quick_gelu(tensors, tokens, tmp_path):
+def test_openai_checkpoint_uses_quick_gelu(tensors, tokens, tmp_path):
     sizes = {"input_resolution": 32, "context_length": 77, "vocab_size": 548}
     state = {**tensors, **{name: torch.tensor(size) for name, size in sizes.items()}}
     file = save(state, beside(tokens, tmp_path) / "ViT.pt")
@@ -203,7 +205,7 @@ def test_tensors_of_openais_checkpoints_have_sizes_and_quick_gelu(tensors, token
     assert config.vision_config.hidden_act == config.text_config.hidden_act == "quick_gelu"
 
 
-def test_a_checkpoint_is_known_by_content_and_not_by_name(tensors, tokens, tmp_path):
+def test_model_digest_of_a_checkpoint_depends_on_content_not_name(tensors, tokens, tmp_path):
     first = save(tensors, beside(tokens, tmp_path / "a") / "first.safetensors")
     copy = save(tensors, beside(tokens, tmp_path / "b") / "again.safetensors")
     assert model_digest(first) == model_digest(copy)
@@ -221,7 +223,9 @@ def test_a_checkpoint_is_known_by_content_and_not_by_name(tensors, tokens, tmp_p
         ({"visual.conv1.weight": torch.ones(128, 192)}, "ValueError"),
     ],
 )
-def test_tensors_that_are_no_clip_are_one_sentence(tensors, tokens, tmp_path, capfd, change, says):
+def test_tensors_of_another_network_raise_one_sentence(
+    tensors, tokens, tmp_path, capfd, change, says
+):
     content = {k: v for k, v in {**tensors, **change}.items() if v is not None}
     file = save(content, beside(tokens, tmp_path) / "clip.pt")
     with pytest.raises(InputError, match=f"are not those of a ViT .*{says}") as error:
@@ -238,7 +242,9 @@ def test_tensors_that_are_no_clip_are_one_sentence(tensors, tokens, tmp_path, ca
         ({"text_cfg": {"hf_model_name": "roberta"}}, "hf_model_name 'roberta'"),
     ],
 )
-def test_a_model_of_another_make_is_named(tensors, tokens, tmp_path, change, cause):
+def test_unsupported_configuration_raises_input_error_with_its_key(
+    tensors, tokens, tmp_path, change, cause
+):
     folder = beside(tokens, tmp_path, {"model_cfg": CONFIG["model_cfg"] | change})
     save(tensors, folder / "open_clip_model.safetensors")
     with pytest.raises(InputError, match=f"{cause}, and models with it cannot"):
@@ -255,7 +261,7 @@ class Trap:
         return open, (str(self.file), "w")
 
 
-def test_what_is_no_checkpoint_is_one_sentence_and_no_code_of_it_is_run(tensors, tokens, tmp_path):
+def test_damaged_checkpoint_raises_one_sentence_and_runs_no_code(tensors, tokens, tmp_path):
     mark, folder = tmp_path / "was-here", beside(tokens, tmp_path)
     trapped = {**tensors, "trap": Trap(mark)}
     files = [folder / "pickled.pt"]

@@ -12,24 +12,24 @@ from drawn import (
     RED,
     WIDTH,
     ball,
-    bank_of,
     box,
     cone,
     find,
+    make_bank,
+    make_view,
     photograph,
     relevancy,
     segment,
-    view_of,
 )
 
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
+from slgaussian.language.answer import ask
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import ask
-from slgaussian.language.reader import BankReader
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import BankReader
 
 OBJECTS = [
     (ball(60, 60, 26), RED),
@@ -43,10 +43,10 @@ OBJECTS = [
 @pytest.fixture(scope="module")
 def scene(lexicon):
     image, ids = photograph(OBJECTS)
-    return ids, bank_of([image], [ids], lexicon)
+    return ids, make_bank([image], [ids], lexicon)
 
 
-def test_finds_every_object_that_fits_and_no_other(scene, lexicon):
+def test_query_selects_all_fitting_objects_only(scene, lexicon):
     ids, bank = scene
     hit = find("red ball", ids, bank, lexicon)
     assert {i for i, _ in hit.objects} == {1, 4}
@@ -57,7 +57,7 @@ def test_finds_every_object_that_fits_and_no_other(scene, lexicon):
     assert hit.unknown == ()
 
 
-def test_nothing_that_fits_gives_an_empty_mask_but_still_a_best_guess(scene, lexicon):
+def test_query_without_a_fitting_object_gives_an_empty_mask_and_a_point(scene, lexicon):
     ids, bank = scene
     hit = find("yellow", ids, bank, lexicon)
     assert hit.objects == () and not hit.mask.any() and hit.score < 0.5
@@ -81,7 +81,7 @@ def test_segment_gives_each_object_its_best_text(scene, lexicon):
     np.testing.assert_array_equal(segment([*texts, *texts], ids, bank, lexicon), expected)
 
 
-def test_texts_are_a_list_of_at_least_one(scene, lexicon):
+def test_segment_raises_input_error_without_a_list_of_texts(scene, lexicon):
     ids, bank = scene
     with pytest.raises(InputError, match="no text"):
         segment([], ids, bank, lexicon)
@@ -105,23 +105,12 @@ def test_texts_are_a_list_of_at_least_one(scene, lexicon):
         ({"canonical": "object, , things"}, "none empty"),
     ],
 )
-def test_rules_out_of_range_are_refused(rules, sentence):
+def test_rules_raise_input_error_out_of_range(rules, sentence):
     with pytest.raises(InputError, match=sentence):
         Rules(**rules)
 
 
-def test_many_texts_at_once_are_answered_as_one_by_one(scene, lexicon):
-    ids, bank = scene
-    texts = ["red ball", "blue", "striped", "red ball", "yellow", "green box"]
-    many = ask(texts, ObjectMap(ids, bank.ids), BankReader(bank, lexicon), Rules())
-    for text, hit in zip(texts, many, strict=True):
-        alone = find(text, ids, bank, lexicon)
-        assert (hit.text, hit.point, hit.objects) == (text, alone.point, alone.objects)
-        np.testing.assert_array_equal(hit.mask, alone.mask)
-        np.testing.assert_array_equal(hit.relevancy, alone.relevancy)
-
-
-def test_the_share_says_how_far_behind_the_best_an_object_may_be(scene, lexicon):
+def test_share_bounds_the_gap_of_selected_objects(scene, lexicon):
     ids, bank = scene
     actual = [
         {i for i, _ in find("red", ids, bank, lexicon, share=share).objects}
@@ -135,7 +124,7 @@ def test_the_share_says_how_far_behind_the_best_an_object_may_be(scene, lexicon)
     assert min(score for _, score in find("red", ids, bank, lexicon, share=0.01).objects) > 0.5
 
 
-def test_canonical_phrases_by_name_by_list_and_of_ones_own(scene, lexicon):
+def test_canonical_phrases_by_name_and_by_list(scene, lexicon):
     ids, bank = scene
     of_own_phrases = find("red", ids, bank, lexicon)
     for same in ("lerf", "object, things,stuff , texture", ["object"], lexicon.canonical):
@@ -150,10 +139,10 @@ def test_canonical_phrases_by_name_by_list_and_of_ones_own(scene, lexicon):
         find("red", ids, bank, lexicon, canonical="zyzzyva")
 
 
-def test_one_reader_keeps_what_absent_views_say_apart(lexicon):
+def test_reader_scores_both_absent_treatments(lexicon):
     image, ids = photograph([(ball(60, 120, 20), GREEN), (ball(160, 120, 20), RED)])
     alone = np.where(ids == 2, 0, ids)
-    bank = bank_of([image, image], [ids, alone], lexicon)
+    bank = make_bank([image, image], [ids, alone], lexicon)
     reader, object_map = BankReader(bank, lexicon), ObjectMap(ids, bank.ids)
     skip, zero = (
         ask(["green"], object_map, reader, Rules(absent=absent))[0].scores
@@ -162,9 +151,9 @@ def test_one_reader_keeps_what_absent_views_say_apart(lexicon):
     assert skip[1] < 0.5 == zero[1] and skip[0] == zero[0] > 0.5
 
 
-def test_every_object_that_ties_for_the_best_is_found(lexicon):
+def test_query_selects_all_objects_that_tie_for_the_best(lexicon):
     image, ids = photograph([(ball(60 + 100 * k, 120, 20), GREEN) for k in range(2)])
-    bank = bank_of([image], [ids], lexicon)
+    bank = make_bank([image], [ids], lexicon)
     twins = MemoryBank(bank.ids, bank.codes, bank.features[[0, 0]], bank.present)
     hit = find("green", ids, twins, lexicon)
     assert [i for i, _ in hit.objects] == [1, 2]  # of equal ones the lowest id first
@@ -173,7 +162,7 @@ def test_every_object_that_ties_for_the_best_is_found(lexicon):
     assert [i for i, _ in one.objects] == [2]
 
 
-def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
+def test_query_selects_the_pieces_of_a_group(lexicon):
     """A quarter does not look like a ball, and the cones beside it fit no better."""
     image, labels = photograph(
         [(ball(80, 120, 42), BLUE), (cone(200, 80, 34), BLUE), (box(260, 180, 30), BLUE)]
@@ -184,7 +173,7 @@ def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
     maps = LabelMaps(ids[None], np.ones((1, HEIGHT, WIDTH), np.float32))
     codes = grid_codes(6, np.random.default_rng(0))
     groups = np.array([[0, 1, 2, 2, 2, 2]])
-    bank = build_bank([view_of(image)], maps, lexicon, codes, groups=groups)
+    bank = build_bank([make_view(image)], maps, lexicon, codes, groups=groups)
     hit = find("blue ball", ids, bank, lexicon)
     np.testing.assert_array_equal(hit.mask, labels == 1)
     assert labels[hit.point[1], hit.point[0]] == 1
@@ -195,7 +184,7 @@ def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
 
 
 @pytest.fixture
-def told_by_gaps(lexicon):
+def query_by_gaps(lexicon):
     """Return a function that queries "red" among objects with given gaps.
 
     Their ids are 1, 2, ...; each is larger than the one before; ``hidden`` ones are invisible.
@@ -219,19 +208,19 @@ def told_by_gaps(lexicon):
     return query_with_gaps
 
 
-def test_what_is_about_as_good_as_the_best_is_taken_with_it_by_numbers(told_by_gaps):
+def test_query_selects_objects_with_six_tenths_of_the_best_gap(query_by_gaps):
     """Objects from 0.6 of the best gap are selected, from 0.9 pointed at; values by hand."""
     gaps = 0.5, 0.46, 0.31, 0.27, 0.0, -0.2
-    assert told_by_gaps(*gaps) == ([1, 2, 3], 2)
+    assert query_by_gaps(*gaps) == ([1, 2, 3], 2)
     # The best is the best of what is seen: 0.27 is 0.87 of 0.31.
-    assert told_by_gaps(*gaps, hidden=(1, 2)) == ([3, 4], 3)
-    assert told_by_gaps(*gaps, hidden=(1, 2, 3)) == ([4], 4)
+    assert query_by_gaps(*gaps, hidden=(1, 2)) == ([3, 4], 3)
+    assert query_by_gaps(*gaps, hidden=(1, 2, 3)) == ([4], 4)
     # Fitting just as well as "object" does is no answer.
-    assert told_by_gaps(*gaps, hidden=(1, 2, 3, 4))[0] == []
-    assert told_by_gaps(-0.2, -0.1)[0] == []
+    assert query_by_gaps(*gaps, hidden=(1, 2, 3, 4))[0] == []
+    assert query_by_gaps(-0.2, -0.1)[0] == []
 
 
-def test_an_answer_says_how_sure_it_is(scene, lexicon):
+def test_confidence_is_higher_for_present_and_connected_objects(scene, lexicon):
     ids, bank = scene
     present, absent = (find(text, ids, bank, lexicon) for text in ("blue box", "cup"))
     assert present.confidence.mask > absent.confidence.mask
@@ -249,7 +238,7 @@ def test_an_answer_says_how_sure_it_is(scene, lexicon):
     assert separate.confidence.mask < touching.confidence.mask
 
 
-def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon):
+def test_confidence_is_none_for_custom_canonical_phrases(scene, lexicon):
     ids, bank = scene
     hit = find("red ball", ids, bank, lexicon, canonical="object")
     assert hit.confidence is None
@@ -258,7 +247,7 @@ def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon):
     assert find("red ball", ids, bank, lexicon).uncalibrated == ""
 
 
-def test_looks_count_by_the_scale_of_the_encoder(scene, lexicon, monkeypatch):
+def test_gaps_use_the_soft_temperature_of_the_encoder(scene, lexicon, monkeypatch):
     """With a small temperature a group scores as its best view."""
     _, bank = scene
     every = np.full((1, len(bank)), len(bank), np.int32)

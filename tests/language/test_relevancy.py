@@ -7,15 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import expit
 
-from slgaussian.language.relevancy import Scorer, sigmoid
+from slgaussian.language.scoring import Scorer, sigmoid
 
 
-def unit_of(vectors: np.ndarray) -> np.ndarray:
+def normalize_rows(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    return unit_of(rng.normal(size=shape))
+    return normalize_rows(rng.normal(size=shape))
 
 
 def literal(features, present, queries, canonical, temperature):
@@ -47,12 +47,12 @@ def case():
 
 @pytest.mark.parametrize("temperature", [1.0, 10.0, 100.0])
 @pytest.mark.parametrize("narrow", [0.0, 2.0], ids=["random directions", "a narrow cone"])
-def test_relevancy_is_the_printed_formula(case, narrow, temperature):
+def test_relevancy_equals_the_paper_formula(case, narrow, temperature):
     """Off by at most a quarter of the errors of two cosines, times the temperature."""
     features, present, queries, canonical = case
     axis = np.eye(16)[0]
     features, queries, canonical = (
-        unit_of(vectors + narrow * axis) for vectors in (features + 1e-9, queries, canonical)
+        normalize_rows(vectors + narrow * axis) for vectors in (features + 1e-9, queries, canonical)
     )
     expected = literal(features, present, queries, canonical, temperature)
     got = relevancy(features, present, queries, canonical, temperature)
@@ -61,7 +61,7 @@ def test_relevancy_is_the_printed_formula(case, narrow, temperature):
     np.testing.assert_allclose(half, expected, rtol=0, atol=3e-4 * temperature)
 
 
-def test_equal_objects_tie_to_the_last_bit_wherever_they_stand(case):
+def test_gaps_of_equal_objects_are_equal_in_any_order(case):
     features, present, queries, canonical = case
     order = np.random.default_rng(1).permutation(len(features))
     once = Scorer(features, present, canonical).gaps(queries)
@@ -70,7 +70,7 @@ def test_equal_objects_tie_to_the_last_bit_wherever_they_stand(case):
     np.testing.assert_array_equal(repeated[::-1, 7:], once[:, order])
 
 
-def test_an_object_in_no_view_scores_zero_and_an_absent_view_never_helps(case):
+def test_absent_views_do_not_change_scores(case):
     features, present, queries, canonical = case
     got = relevancy(features, present, queries, canonical)
     assert (got[:, 0] == 0).all()
@@ -82,7 +82,7 @@ def test_an_object_in_no_view_scores_zero_and_an_absent_view_never_helps(case):
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(1, 1000))
-def test_invariants(seed, temperature):
+def test_relevancy_order_does_not_depend_on_temperature(seed, temperature):
     """Order and sign do not depend on temperature; phrases never raise, views never lower it."""
     rng = np.random.default_rng(seed)
     features, queries, canonical = unit(rng, 12, 2, 8), unit(rng, 3, 8), unit(rng, 2, 8)
@@ -99,7 +99,7 @@ def test_invariants(seed, temperature):
     assert (fewer >= scores).all() and (one_view <= scores).all()
 
 
-def test_a_zero_vector_lifts_an_object_with_an_absent_view_to_even(case):
+def test_absent_zero_gives_at_least_half_to_absent_objects(case):
     features, present, queries, canonical = case
     skip, zero = (
         relevancy(features, present, queries, canonical, absent=how) for how in ("skip", "zero")
@@ -119,7 +119,7 @@ def test_a_zero_vector_lifts_an_object_with_an_absent_view_to_even(case):
     )
 
 
-def softly(features, present, queries, canonical, levels):
+def sum_softly(features, present, queries, canonical, levels):
     """The gap over an object and its groups as the module has it, by loops.
 
     A lead that is 0.05 greater counts e times as much: chosen by measurement, written out here.
@@ -139,7 +139,7 @@ def softly(features, present, queries, canonical, levels):
 
 
 @pytest.fixture
-def nested():
+def nested_case():
     """Ten objects: 0-3 in group 10, 0-5 in group 11 above it, 9 alone; 8 and group 12 unseen."""
     rng = np.random.default_rng(3)
     present = rng.random((13, 3)) < 0.6
@@ -151,11 +151,11 @@ def nested():
     return features, present, unit(rng, 5, 16), unit(rng, 4, 16), levels
 
 
-def test_groups_count_as_the_formula_says(nested):
-    features, present, queries, canonical, levels = nested
+def test_gaps_with_groups_equal_the_formula(nested_case):
+    features, present, queries, canonical, levels = nested_case
     got = Scorer(features, present, canonical, levels=levels).gaps(queries)
     # Sums of 9 leads below 2: the noise floor is some 1e-15.
-    np.testing.assert_allclose(got, softly(*nested), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(got, sum_softly(*nested_case), rtol=0, atol=1e-14)
     assert (got[:, 8] == -np.inf).all()
     alone = Scorer(features[:10], present[:10], canonical).gaps(queries)
     np.testing.assert_array_equal(got[:, 9], alone[:, 9])  # one view, no group: one lead
@@ -164,7 +164,7 @@ def test_groups_count_as_the_formula_says(nested):
 
 
 @pytest.mark.parametrize("soft", [None, 0.01], ids=["a twentieth", "CLIP's own"])
-def test_of_two_leads_the_greater_by_so_much_counts_e_times_as_much(soft):
+def test_soft_maximum_weights_a_lead_larger_by_soft_e_times(soft):
     """By hand: leads of the object itself and of its group."""
     axes = np.eye(4)
     leads = np.array([0.30, 0.30 - (soft or 0.05)])
@@ -175,7 +175,7 @@ def test_of_two_leads_the_greater_by_so_much_counts_e_times_as_much(soft):
     assert scorer.gaps(axes[:1])[0, 0] == pytest.approx(expected, abs=1e-12)
 
 
-def test_the_sigmoid_is_that_of_scipy_to_the_bit():
+def test_sigmoid_equals_scipy_bitwise():
     rng = np.random.default_rng(0)
     ends = [0, -0.0, np.inf, -np.inf, 709.7, 709.8, -709.7, -709.8, -746, 1e-300]
     x = np.concatenate([rng.normal(0, 4, 4000), rng.uniform(-800, 800, 1000), ends])

@@ -44,7 +44,7 @@ def best_members(wholes, gaps, evidence=None, areas=AREAS, ranking=RANKING):
     return np.flatnonzero(chosen[0]).tolist()
 
 
-def test_two_parts_of_one_thing_are_taken_though_one_of_them_fits_badly(mug):
+def test_best_candidate_is_a_whole_with_a_part_that_fits_badly(mug):
     gaps = [-0.1, 0.2, 0.1, -0.05]
     assert near_best(np.array(gaps), 0.2).tolist() == [False, True, False, False]
     assert best_members(mug, gaps) == [1, 2]
@@ -52,18 +52,18 @@ def test_two_parts_of_one_thing_are_taken_though_one_of_them_fits_badly(mug):
     assert best_members(alone, gaps) == [1]
 
 
-def test_all_that_fit_about_as_well_can_be_an_answer(mug):
+def test_best_candidate_is_the_near_best_set(mug):
     assert best_members(mug, [-0.1, 0.2, -0.1, 0.2]) == [1, 3]
 
 
-def test_a_classifier_decides_between_what_looks_alike(mug):
+def test_class_evidence_decides_between_equal_gaps(mug):
     gaps = [-0.1, 0.1, 0.1, 0.1]
     assert best_members(mug, gaps, np.array([-3, 4, 4, -3.0])) == [1, 2]
     assert best_members(mug, gaps, np.array([-3, -3, -3, 4.0])) == [3]
     assert best_members(mug, gaps, np.array([-3, -9, -9, 99.0])) == [3], "evidence is bounded"
 
 
-def test_only_what_is_visible_and_no_sliver_is_taken(mug):
+def test_best_candidate_excludes_invisible_objects(mug):
     gaps = [-0.1, 0.2, 0.1, 0.01]
     assert best_members(mug, gaps, areas=[1000, 0, 0, 1000]) == [3]
     assert best_members(mug, gaps, areas=np.zeros(4, int)) == []
@@ -73,7 +73,7 @@ def test_only_what_is_visible_and_no_sliver_is_taken(mug):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_choice_is_that_of_the_formulas(seed):
+def test_best_candidate_equals_the_loop_reference(seed):
     rng = np.random.default_rng(seed)
     n, w = int(rng.integers(2, 9)), int(rng.integers(0, 6))
     members = rng.random((w, n)) < 0.5
@@ -94,10 +94,10 @@ def test_the_choice_is_that_of_the_formulas(seed):
     ranking = Ranking(*rng.normal(0, 1, len(Ranking._fields)))
     chosen = wholes.candidates(gaps, evidence, areas).best(ranking)
     for text in zip(chosen, gaps, evidence, strict=True):
-        assert np.array_equal(text[0], plainly(wholes, *text[1:], areas, ranking))
+        assert np.array_equal(text[0], choose_plainly(wholes, *text[1:], areas, ranking))
 
 
-def plainly(wholes, gaps, evidence, areas, ranking):
+def choose_plainly(wholes, gaps, evidence, areas, ranking):
     """The choice in loops over sets of places."""
     n = len(gaps)
     share = wholes.shares.astype(float)

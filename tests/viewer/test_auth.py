@@ -58,7 +58,7 @@ def test_tokens_are_long_and_random_and_absent_on_loopback():
         server.listener.close()
 
 
-def test_occupied_ports_and_foreign_hosts_are_refused():
+def test_listen_raises_input_error_for_occupied_ports_and_foreign_hosts():
     with socket.create_server(("127.0.0.1", 0)) as occupied:
         port = occupied.getsockname()[1]
         with pytest.raises(InputError, match=f"--port {port}: .*in use"):

@@ -22,7 +22,6 @@ from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Camera, Sample
-from slgaussian.viewer.page.answers import compute_answers
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
 from tests.known import known_field
@@ -121,12 +120,8 @@ def window_point(tab: Tab, camera: Camera, x: float, y: float) -> tuple[float, f
 
 
 def selected_ids(tab: Tab) -> set[int]:
-    return set(
-        tab.evaluate(
-            "slgaussian.asked[0].taken.flatMap((t, k) =>"
-            "t ? [JSON.parse(document.getElementById('about').textContent).things[k].id] : [])"
-        )
-    )
+    things = "JSON.parse(document.getElementById('about').textContent).things"
+    return set(tab.evaluate(f"slgaussian.asked[0].taken.map((k) => {things}[k].id)"))
 
 
 def test_page_draws_as_the_rasteriser(page, field):
@@ -153,25 +148,17 @@ def test_answer_highlights_the_mask_of_the_query(page, view):
         assert selected_ids(page) == {id_ for id_, _ in hit.objects}
 
 
-def test_stored_answers_select_the_objects_of_queries(field, view):
+def test_stored_answers_equal_those_of_queries(page, field, view):
     """Stored answers hold for all views together, and so for a view that shows every object."""
-    ids = [thing.id for thing in field.inventory()]
-    answers, _, selected = compute_answers(field, ids)
-    assert answers["pairs"] and len(answers["texts"]) > 1000
-    assert set(ids) == set(np.unique(view.ids)) - {0}
-    for row in range(0, len(answers["texts"]), 37):
-        expected = {id_ for id_, _ in view.query(answers["texts"][row]).objects}
-        assert set(np.array(ids)[np.array(selected[row], bool)]) == expected
-
-
-def test_confidence_and_verdict_equal_those_of_a_query(page, view):
-    texts = page.evaluate("JSON.parse(document.getElementById('about').textContent).texts")[::29]
-    answers = page.evaluate(f"{json.dumps(texts)}.map((text) => slgaussian.words.ask(text))")
-    verdicts = set()
-    for text, answer in zip(texts, answers, strict=True):
-        hit, confidence = view.query(text), answer["confidence"]
-        assert confidence["mask"] == pytest.approx(hit.confidence.mask, abs=1e-5)
-        assert confidence["point"] == pytest.approx(hit.confidence.point, abs=1e-5)
+    ids, verdicts = np.unique(view.ids[view.ids > 0]), set()
+    assert ids.tolist() == [thing.id for thing in field.inventory()]
+    answers = page.evaluate("[...slgaussian.words.answers.values()]")
+    assert len(answers) > 1000
+    for answer in answers[::29]:
+        hit = view.query(answer["text"])
+        assert ids[answer["taken"]].tolist() == [id_ for id_, _ in hit.objects]
+        assert answer["scores"] == pytest.approx(hit.scores, abs=1e-6)
+        assert answer["confidence"] == pytest.approx(hit.confidence, abs=1e-6)
         assert (answer["verdict"], answer["summary"]) == (hit.verdict, hit.summary)
         verdicts.add(hit.summary.split(":")[0])
     assert verdicts == {"found", "not sure", "probably not here"}
@@ -205,7 +192,7 @@ def test_page_reads_texts_as_the_lexicon(page, field, text, expected):
         assert reading["reason"]
 
 
-def test_taught_words_and_names_are_answered(browser, field, view, tmp_path):
+def test_page_answers_taught_words_and_names(browser, field, view, tmp_path):
     (cone, _), *_ = view.query("cone").objects
     (ball, _), *_ = view.query("ball").objects
     taught = field.teach("Gizmo of mine", cone).named(ball, "Anna's ball")
@@ -219,7 +206,7 @@ def test_taught_words_and_names_are_answered(browser, field, view, tmp_path):
         assert "right" not in answer, "a name carries no probability of being right"
 
 
-def test_missing_webgl_is_reported(browser, file):
+def test_page_reports_missing_webgl(browser, file):
     with Browser("--disable-3d-apis") as plain, plain.open(file.as_uri()) as tab:
         message = tab.wait(
             "!document.getElementById('waiting').textContent.startsWith('Unpacking')"
@@ -296,7 +283,7 @@ def test_page_makes_no_requests_and_logs_no_errors(page, file, field):
     assert scene_page(field, texts=["dark red crate"]) == file.read_text("utf-8")
 
 
-def test_names_are_shown_as_text(browser, field, tmp_path):
+def test_page_shows_names_as_text(browser, field, tmp_path):
     id_ = field.inventory()[0].id
     named = field.named(id_, MARKUP.replace("\u2028", ""))
     (tmp_path / "a.html").write_text(
@@ -306,19 +293,19 @@ def test_names_are_shown_as_text(browser, field, tmp_path):
         assert tab.evaluate("document.title") == MARKUP
         assert tab.evaluate("document.querySelector('h1').textContent") == MARKUP
         listed = tab.evaluate("document.querySelector('#objects li').textContent")
-        assert named.names[id_] in listed
+        assert named.edits.names[id_] in listed
         assert tab.evaluate("document.querySelectorAll('img[src=x]').length") == 0
         assert tab.complaints == []
 
 
-def test_removed_objects_are_absent_from_the_file(browser, field, camera, view, tmp_path):
+def test_page_omits_removed_objects(browser, field, camera, view, tmp_path):
     (ball, _), *_ = view.query("ball").objects
     edited = field.without([ball])
     (tmp_path / "a.html").write_text(scene_page(edited), "utf-8")
     with open_page(browser, tmp_path / "a.html") as tab:
         metadata = tab.evaluate("JSON.parse(document.getElementById('about').textContent)")
         assert ball not in [entry["id"] for entry in metadata["things"]]
-        assert tab.evaluate("slgaussian.gaussians.n") == len(edited.drawn) < len(field.gaussians)
+        assert tab.evaluate("slgaussian.gaussians.n") == len(edited.visible) < len(field.gaussians)
         picture, rendered = snapshot(tab), edited.render(camera)
         assert psnr(picture, rendered.rgb) > 30
         assert rendered.unknown.any()

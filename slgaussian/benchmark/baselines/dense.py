@@ -24,14 +24,14 @@ import cv2
 import numpy as np
 from scipy.special import expit, logit
 
-from slgaussian.field import shown
+from slgaussian.field import mean_colour
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language import langsplat
 from slgaussian.language.objectmap import central_point
-from slgaussian.language.reader import TextReader
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import TextReader
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 
@@ -53,7 +53,9 @@ def draw_picture(gaussians: Gaussians, camera: Camera) -> Picture:
     """Render the colours of the Gaussians for ``camera``."""
     image = rasterize(gaussians, None, camera)
     alpha = image.alpha.float().numpy()
-    return Picture(shown(image.values.float().numpy(), alpha), alpha, image.depth.float().numpy())
+    return Picture(
+        mean_colour(image.values.float().numpy(), alpha), alpha, image.depth.float().numpy()
+    )
 
 
 @dataclass(frozen=True, eq=False)

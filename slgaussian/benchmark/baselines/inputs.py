@@ -17,7 +17,7 @@ from slgaussian.geometry.room import Surroundings
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank, build_bank
-from slgaussian.language.reader import TextReader
+from slgaussian.language.scoring import TextReader
 from slgaussian.masks import MaskProposer
 from slgaussian.masks.flatten import flatten, without_crumbs
 from slgaussian.masks.levels import group_objects

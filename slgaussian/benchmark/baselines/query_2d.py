@@ -14,8 +14,8 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.field import FieldView
 from slgaussian.geometry import SeenView
 from slgaussian.labels import MIN_WEIGHT, LabelMaps
-from slgaussian.language.query import QueryResult
-from slgaussian.language.reader import TextReader
+from slgaussian.language.answer import QueryResult
+from slgaussian.language.scoring import TextReader
 from slgaussian.masks.flatten import flatten
 from slgaussian.scene import Camera, View
 

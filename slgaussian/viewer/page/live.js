@@ -38,12 +38,10 @@ class Live {
     $("keep").addEventListener("click", () => this.change("save"));
   }
 
-  /** Return answers to texts, in the form of Words.stored. */
+  /** Return answers to texts, in the form of Words.answer. */
   async query(texts) {
     try {
-      const { answers } = await post("query", { texts });
-      answers.forEach((answer) => { answer.gaps = answer.gaps?.map((gap) => gap ?? -Infinity); });
-      return answers;
+      return (await post("query", { texts })).answers;
     } catch (error) {
       return [{ refused: error.message }];
     }

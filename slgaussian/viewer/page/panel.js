@@ -22,9 +22,9 @@ const percent = (share) => `${Math.round(100 * share)}%`;
 
 /** Return the verdict and confidence of an answer, for the legend. */
 function brief({ taken, confidence, verdict, summary }) {
-  if (!confidence || !taken.includes(true) || verdict === "cannot tell") return summary.split(":")[0];
-  return verdict === "not here" ? `probably ${verdict} ${confidence.point.toFixed(2)}`
-    : `${verdict} ${confidence.mask.toFixed(2)}`;
+  if (!confidence || !taken.length || verdict === "cannot tell") return summary.split(":")[0];
+  const [mask, point] = confidence;
+  return verdict === "not here" ? `probably ${verdict} ${point.toFixed(2)}` : `${verdict} ${mask.toFixed(2)}`;
 }
 
 class Page {
@@ -33,7 +33,7 @@ class Page {
     this.viewpoint = new Viewpoint(about.views[0], about.views[0].distance, about.up);
     this.mode = 0;
     this.picked = 0;
-    this.asked = []; // {text, hue} and the result of Words.judge for each answered text
+    this.asked = []; // answers to the texts that are not refused, each with its hue
     this.answers = []; // results of Words.answer
     this.question = 0;
     this.typed = "";
@@ -134,7 +134,7 @@ class Page {
         ? (winners[k] < 0 ? [0, 0, 0, 0] : [...this.asked[winners[k]].hue, 190])
         : [...thing.colour, 170],
       relevancy: single ? single.scores[k] : 0,
-      taken: single && single.taken[k] && single.shown ? 1 : 0,
+      taken: single && single.taken.includes(k) && single.shown ? 1 : 0,
       picked: this.picked === k + 1 ? 1 : 0,
     })));
     this.requestFrame();
@@ -208,7 +208,7 @@ class Page {
     this.asked = [];
     answers.forEach((answer, k) => {
       if (answer.refused) sentences.push(answer.refused);
-      else this.asked.push({ ...answer, ...this.words.judge(answer), hue: HUES[k % HUES.length] });
+      else this.asked.push({ ...answer, hue: HUES[k % HUES.length] });
     });
     if (!this.asked.length && this.mode === 3) this.setMode(0);
     if (this.asked.length === 1) {
@@ -231,20 +231,17 @@ class Page {
   }
 
   /** Describe the answer to one text in a sentence. */
-  describe({ text, kind, unknown, scores, taken, best, verdict, shown, summary }) {
-    if (best < 0) return "There are no objects in this file.";
+  describe({ text, kind, unknown, score, taken, verdict, shown, summary }) {
+    if (!about.things.length) return "There are no objects in this file.";
     const kinds = { taught: " (taught by example)", named: " (the name of an object)" };
     const asked = `“${text}”${kinds[kind] || ""}`;
-    const ignored = unknown?.length ? ` Ignored unknown words: ${unknown.join(", ")}.` : "";
-    const selected = taken.flatMap((yes, k) => (yes ? [k] : []))
-      .sort((a, b) => scores[b] - scores[a]);
+    const ignored = unknown.length ? ` Ignored unknown words: ${unknown.join(", ")}.` : "";
     if (verdict === "cannot tell") return `${asked}: ${summary}.`;
-    if (!selected.length) return `${asked}: ${summary} (${BASELINE}).${ignored}`;
-    const objects = `${selected.length === 1 ? "object" : "objects"} `
-      + selected.map((k) => this.label(k + 1)).join(", ");
-    const score = `${scores[best].toFixed(3)} (${BASELINE})`;
+    if (!taken.length) return `${asked}: ${summary} (${BASELINE}).${ignored}`;
+    const objects = `${taken.length === 1 ? "object" : "objects"} `
+      + taken.map((k) => this.label(k + 1)).join(", ");
     const link = shown ? ", " : "; most similar: ";
-    return `${asked}: ${summary}; score ${score}${link}${objects}.${ignored}`;
+    return `${asked}: ${summary}; score ${score.toFixed(3)} (${BASELINE})${link}${objects}.${ignored}`;
   }
 
   label(thing) {
@@ -504,7 +501,7 @@ async function open() {
   }
   const gaussians = gaussiansOf(arraysOf(await unpack("gaussians"), about.layout));
   const maps = Uint8Array.from(atob(about.maps), (c) => c.charCodeAt(0));
-  const answers = await unpack("answers");
+  const answers = JSON.parse(new TextDecoder().decode(await unpack("answers")));
   performance.mark("unpacked");
   const drawing = new Drawing($("picture"), gaussians, about.things.length, maps);
   performance.mark("ready");

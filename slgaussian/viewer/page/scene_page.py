@@ -14,6 +14,7 @@ import gzip
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -25,16 +26,15 @@ import numpy as np
 from slgaussian import __version__
 from slgaussian.benchmark.pictures import depth_range, encode_jpeg, label_colors
 from slgaussian.cameras.quality import Quality, camera_doubt
+from slgaussian.edits import Edits
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry.room import find_room
-from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
 from slgaussian.rasterize.render_settings import find_settings
 from slgaussian.scene import Camera
-from slgaussian.viewer.page.answers import compute_answers
+from slgaussian.viewer.page.answers import PageAnswers, list_texts
 from slgaussian.viewer.page.packed import BLOCK_GAUSSIANS, pack_gaussians
 
 SCRIPTS = ("data.js", "order.js", "draw.js", "eye.js", "pick.js", "words.js", "panel.js")
@@ -66,7 +66,7 @@ def scene_page(
             cannot use one of the texts.
     """
     if live:
-        field = field.changed(removed=frozenset())
+        field = field.changed(edits=replace(field.edits, removed=frozenset()))
     looks = {name: field.render(camera) for name, camera in field.cameras.items()}
     origin = field.gaussians.origin
     cameras = {name: camera.relative_to(origin) for name, camera in field.cameras.items()}
@@ -77,7 +77,7 @@ def scene_page(
     pictures |= {name: looks[name].rgb for name in drawn_views}
     things = [thing for thing in field.inventory() if thing.gaussians]
     ids = [thing.id for thing in things]
-    field = field.dropped()
+    field = field.drop_hidden()
     labels = field.labels()
     numbers = np.zeros(len(labels), np.int64)
     if ids:
@@ -90,7 +90,12 @@ def scene_page(
         _view(name, camera, look.depth, pictures[name], "rendered" if name in drawn_views else "")
         for (name, camera), look in zip(cameras.items(), looks.values(), strict=True)
     ]
-    answers, gaps, selected = compute_answers(field, ids, texts, live)
+    words = list_texts(field.changed(edits=Edits()) if live else field, ids, texts)
+    queries, answers = words.pop("texts"), []
+    if live:
+        words |= {"spellings": {}, "skipped": []}
+    elif ids:
+        answers = PageAnswers(ids, next(iter(looks.values())).ids).ask(field, queries)
     title = str(field.settings.get("scene") or "scene")
     data, layout, scale_logs = pack_gaussians(gaussians, numbers, 1 if live else 9)
     scene_data = {
@@ -103,13 +108,11 @@ def scene_page(
         "near": min(find_settings("fast", gaussians.reach(c)).near for c in field.cameras.values()),
         "up": np.asarray(up, np.float64).tolist(),
         "depths": list(depth_range(*depths)),
-        "stripes": bool(field.removed),
+        "stripes": bool(field.edits.removed),
         "things": [_thing(thing, field, labels, list(looks)) for thing in things],
         "guesses": gaussians.guessed is not None and bool(gaussians.guessed.any()),
-        **answers,
-        "touching": _touching(next(iter(looks.values())).ids, ids),
-        "words_note": _words_note(answers, live),
-        "temperature": Rules().temperature,
+        **words,
+        "words_note": _words_note(words, live),
         "block": BLOCK_GAUSSIANS,
         "layout": layout,
         "scale_logs": list(scale_logs),
@@ -125,16 +128,14 @@ def scene_page(
     return _template().render(
         title=title,
         gaussians=f"{len(gaussians):,}",
-        example="red chair" if answers["pairs"] or live else "a word from the list below",
+        example="red chair" if words["pairs"] or live else "a word from the list below",
         live=live,
         policy=policy,
         style=style,
         script=script,
-        about=_escape_json(json.dumps(scene_data, ensure_ascii=False, allow_nan=False)),
+        about=_escape_json(_to_json(scene_data)),
         packed_gaussians=_base64(data),
-        packed_answers=_base64(
-            gzip.compress(gaps.astype("<f4").tobytes() + selected.tobytes(), 9, mtime=0)
-        ),
+        packed_answers=_base64(gzip.compress(_to_json(answers).encode(), 9, mtime=0)),
     )
 
 
@@ -188,7 +189,7 @@ def _scene_note(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
         sentences.append(f"{depth}, and the depth of the rest is a guess.")
         sentences.append(f"{quality.verdict().sentence().capitalize()}.")
     sentences.append("Areas that no photograph shows stay empty.")
-    if field.removed:
+    if field.edits.removed:
         sentences.append("Stripes are empty too, such as areas behind removed objects.")
     if any(camera.estimated for camera in field.cameras.values()):
         sentences.append(
@@ -204,18 +205,16 @@ def _scene_note(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
     return " ".join(sentences)
 
 
-def _touching(ids_map: np.ndarray, ids: Sequence[int]) -> list[list[int]]:
-    """Return the pairs of ``ids`` that touch in an id map int32 [H, W], as indices into ``ids``."""
-    listed = np.array(ids, np.int32)
-    return ObjectMap(np.where(np.isin(ids_map, listed), ids_map, 0), listed).touching.tolist()
+def _to_json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
-def _words_note(answers: Mapping[str, Any], live: bool) -> str:
+def _words_note(words: Mapping[str, Any], live: bool) -> str:
     """Return the sentences that list the texts of the page."""
-    if live and not answers["pairs"]:
+    if live and not words["pairs"]:
         return f"Any text. {SEVERAL_TEXTS}"
     kinds: dict[str, list[str]] = {}
-    for word, kind in answers["words"].items():
+    for word, kind in words["words"].items():
         kinds.setdefault(kind, []).append(word)
     titles = {"named": "Names", "taught": "Taught", "text": "Texts"}
     titles |= {"thing": "Nouns", "describing": "Describing words"}
@@ -224,7 +223,7 @@ def _words_note(answers: Mapping[str, Any], live: bool) -> str:
         for kind, name in titles.items()
         if kind in kinds
     ]
-    if answers["pairs"]:
+    if words["pairs"]:
         sentences.append(
             "Pairs: a colour with a noun, such as “red chair”, or another describing word with a "
             "common noun."

@@ -7,8 +7,8 @@ from scipy.interpolate import RegularGridInterpolator
 from slgaussian.benchmark.baselines.dense import DenseView, cosines
 from slgaussian.kernels.work_sharing import share
 from slgaussian.language import langsplat, load_encoder
-from slgaussian.language.reader import TextReader
 from slgaussian.language.rules import Rules
+from slgaussian.language.scoring import TextReader
 from tests.kernel_threads import kernels_on
 
 # Written out, not imported: a slip in the module must show here.
