@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from flows.config import TABLES, MethodSettings, Settings, table_of
+from flows.config import TABLES, MethodSettings, Settings
 from flows.forms import layered
-from slgaussian.components.registry import find_config
+from slgaussian.components.registry import KINDS
 from slgaussian.errors import InputError
 from slgaussian.storage.remote import check_url
 
@@ -34,8 +34,7 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     if isinstance(config, MethodSettings):
-        for kind, name in config.component_names().items():
-            find_config(kind, name)  # InputError for an unknown name
+        config.components  # noqa: B018  (InputError for an unknown name)
     return config
 
 
@@ -89,13 +88,13 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(values.get("scenes"), list):
         values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
     for name in TABLES.keys() & values.keys():
-        if isinstance(values[name], dict):
+        if isinstance(table := values[name], dict):
             places = [
                 key
-                for key in TABLES[name].files().keys() & values[name].keys()
-                if not TABLES[name].takes_name(key) or (folder / str(values[name][key])).exists()
+                for key in TABLES[name].files()
+                if not TABLES[name].takes_name(key) or (folder / str(table.get(key))).exists()
             ]
-            values[name] = _anchored(values[name], places, folder)
+            values[name] = _anchored(table, places, folder)
     return values
 
 
@@ -117,10 +116,10 @@ def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
 
 def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -> None:
     """Raise InputError if ``values`` has the table of a component that is not used."""
-    used = set(map(table_of, settings.component_values()))
+    used = {component.table for component in settings.components}
     for name in (name for name in TABLES if name in values and name not in used):
-        chosen = ", ".join(f"{kind} {part!r}" for kind, part in settings.component_names().items())
+        chosen = ", ".join(f"{kind} {getattr(settings, kind)!r}" for kind in KINDS)
         raise InputError(
-            f"{source}: settings of {name!r} are given, but no part is {name!r} (found {chosen}); "
-            "choose it, or leave them out"
+            f"{source}: settings of {name!r} are given, but no component is {name!r} (found "
+            f"{chosen}); choose it, or leave them out"
         )

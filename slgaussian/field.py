@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slgaussian import edits
-from slgaussian.components.component import Component
+from slgaussian.components.config import ComponentConfig
+from slgaussian.components.registry import restore
 from slgaussian.errors import InputError, SpecError, check_type
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short, short_repr
@@ -166,7 +167,7 @@ class SemanticField:
             InputError: If one of its files is missing from ``places`` or has another content.
             SpecError: If its vectors have another dimension than those of the bank.
         """
-        part = Component.stored("encoder", self.settings, self.places)
+        part = restore("encoder", self.settings, self.places)
         _check_places(part)
         encoder: Encoder = part.load(
             "is not what the field was built with; give that one, or build the field with it"
@@ -533,7 +534,7 @@ class SemanticField:
         identity = encoder_identity(about.settings)
         loaded = replace(built, **edits.read(path, identity, built.bank.ids))
         try:
-            if not Component.stored("encoder", about.settings).files:
+            if not restore("encoder", about.settings).known_files:
                 loaded.encoder  # noqa: B018  (checked at once if it needs no files)
         except (InputError, SpecError) as error:
             raise SpecError(f"{path}: {error}") from error
@@ -581,9 +582,9 @@ def hatched(rgb: np.ndarray, where: np.ndarray) -> np.ndarray:
     return np.where(where[..., None], HATCH_GREYS[stripe][..., None], rgb)
 
 
-def _check_places(encoder: Component) -> None:
+def _check_places(encoder: ComponentConfig) -> None:
     """Raise InputError if a file of the encoder has no known location, or no longer exists."""
-    for key, file in encoder.files.items():
+    for key, file in encoder.known_files.items():
         place = file.place
         if not place or (os.path.isabs(place) and not os.path.exists(place)):
             moved = f" and is no longer at {place}" if place else ""

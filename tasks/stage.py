@@ -23,8 +23,7 @@ from prefect import Task
 from prefect.cache_policies import NO_CACHE
 from prefect.utilities.annotations import quote
 
-from slgaussian.components.component import Component
-from slgaussian.components.config import Config
+from slgaussian.components.config import ComponentConfig, Config
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.kernels import compiling, threads
@@ -66,7 +65,7 @@ def canonical(value: Any, name: str = "value") -> Any:
         return {"spec": value.spec, "digest": value.digest}
     if isinstance(value, KnownFile):
         return value.digest
-    if isinstance(value, Component):
+    if isinstance(value, ComponentConfig):
         return {value.name: canonical(value.identity(), name)}
     if hasattr(value, "identity"):
         return canonical(value.identity(), name)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from slgaussian.components.component import Component
+from slgaussian.components.config import ComponentConfig
 from slgaussian.components.pretrained import (
     find_model,
     find_tokenizer,
     model_digest,
     tokenizer_digest,
 )
-from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
 from slgaussian.io import file_sha256
 
@@ -22,15 +19,11 @@ SHA256 = re.compile("[0-9a-f]{64}")
 REPAIR = "get it again"
 
 
-def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
+def check_component(component: ComponentConfig) -> str:
     """Check the files of a component without downloading anything.
 
     Weights in the hub's cache are compared with the hub's digests. Models are loaded, which checks
     their configuration and the names and shapes of tensors; their weights must be finite.
-
-    Args:
-        kind, name: Arguments of :func:`slgaussian.components.registry.find_config`.
-        values: Fields of the component.
 
     Returns:
         str: A sentence about the files; empty for a component without files.
@@ -38,26 +31,23 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     Raises:
         InputError: If a file is missing, damaged, or not what the component needs.
     """
-    verified, places = list[bool](), dict[str, Any]()
-    for key, file in find_config(kind, name).files().items():
-        if (place := values.get(key)) is None:
+    verified, places = list[bool](), list[str]()
+    for key, file in component.files().items():
+        if (place := getattr(component, key)) is None:
             continue
-        places[key] = place
+        places.append(f"{key} {place}")
         if file.digest is model_digest:
             weights = find_model(place, download=False).files
             verified += [is_of_hub(each) for each in weights if each.suffix != ".json"]
         elif file.digest is tokenizer_digest:
             find_tokenizer(place, download=False)
-    part = Component.of(kind, name, values).load()
-    label = ", ".join(f"{key} {place}" for key, place in places.items())
-    if (network := getattr(part, "network", None)) is not None:
-        for tensor_name, tensor in network.named_parameters():
-            if not tensor.isfinite().all():
-                raise InputError(f"{label}: {tensor_name} holds NaN or infinity; {REPAIR}")
-    if not label:
-        return ""
+    network, label = getattr(component.pin().load(), "network", None), ", ".join(places)
+    for name, tensor in () if network is None else network.named_parameters():
+        if not tensor.isfinite().all():
+            raise InputError(f"{label}: {name} holds NaN or infinity; {REPAIR}")
     of_hub = verified and all(verified)
-    return f"{label}: {'is what the hub has, by its SHA-256' if of_hub else 'can be loaded'}"
+    verdict = "is what the hub has, by its SHA-256" if of_hub else "can be loaded"
+    return f"{label}: {verdict}" if label else ""
 
 
 def is_of_hub(file: Path) -> bool:

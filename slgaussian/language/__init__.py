@@ -15,15 +15,6 @@ if TYPE_CHECKING:  # listing the components must not import torch
     from slgaussian.labels import LabelMaps
     from slgaussian.language.confidence import Calibration
 
-ENCODERS = {
-    "lexicon": "slgaussian.language.configs:LexiconConfig",
-    "clip": "slgaussian.language.configs:ClipConfig",
-}
-CODES = {
-    "grid": "slgaussian.language.configs:GridConfig",
-    "separated": "slgaussian.language.configs:SeparatedConfig",
-}
-
 
 TYPICAL_MEASUREMENTS = 6
 """Default number of measurements, used for taught words: the median over texts."""

@@ -68,8 +68,8 @@ def test_a_file_is_known_by_content_and_relative_to_the_configuration(run_python
     code = (
         "import json, sys; from pathlib import Path; from flows.read_config import read_toml\n"
         "for name in ('a.toml', 'sub/b.toml'):\n"
-        "    part = read_toml(Path(name), {}).part('proposer')\n"
-        "    print(json.dumps([part.identity(), part.places()]))"
+        "    ink = read_toml(Path(name), {}).configure('proposer')\n"
+        "    print(json.dumps([ink.identity(), ink.places()]))"
     )
     for name, file in (("a.toml", "a.txt"), ("sub/b.toml", "b.txt")):
         text = f'proposer = "ink"\n[ink]\ncolours = "{file}"\nleast = 5\n'

@@ -232,7 +232,7 @@ def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
     [
         ("predictor=mvsplat", "mvsplat checkpoint: none given; download re10k.ckpt"),
         ("predictor=mvsplat mvsplat.checkpoint=page.ckpt", "page.ckpt: is damaged"),
-        ("mvsplat.precision=bfloat16", "but no part is 'mvsplat' (found predictor 'planes"),
+        ("mvsplat.precision=bfloat16", "but no component is 'mvsplat' (found predictor 'planes"),
         ("encoder=clip clip.model=CLIP clip.crops=x", "crops: found 'x'"),
         ("proposer=sam", "sam model: none given; give a folder, or a name on the hub as"),
         ("proposer=sam2 sam2.model=SAM", "is of type 'sam', but sam2 needs"),

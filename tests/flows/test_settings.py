@@ -40,9 +40,9 @@ def test_a_preset_has_settings_of_the_method_alone_and_its_parts_take_them(name)
     chosen = make_settings({"preset": name}, "test")
     assert chosen.preset == name
     assert method_of({"preset": name}) == method_of(values)
-    chosen.built_by.check()
+    chosen.field_method.check()
     # Nothing in it is idle.
-    assert values.keys() & TABLES.keys() <= chosen.component_values().keys()
+    assert values.keys() & TABLES.keys() <= {component.table for component in chosen.components}
 
 
 def test_what_is_given_wins_key_by_key(file):
@@ -59,7 +59,7 @@ def test_what_is_given_wins_key_by_key(file):
     assert read_toml(file, {"preset": "fast", "size": "auto"}).size == "auto"
     # Its tables are as those of a file: that of a part which is not chosen lies idle.
     second = make_settings({"preset": "fast", "predictor": "mvsplat"}, "test")
-    assert "planesweep" not in second.component_values()
+    assert "planesweep" not in {component.name for component in second.components}
 
 
 def test_paths_in_a_file_are_relative_to_it(file, tmp_path):
@@ -105,13 +105,13 @@ def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(fil
     assert read.mvsplat.model_dump() == {"checkpoint": checkpoint, "precision": "float32"}
     assert (read.clip.model, read.clip.tokenizer) == (str(tmp_path / "clip.bin"), "a/b")
     assert (read.sam.model, read.sam2.model) == (weights, "facebook/sam2.1-hiera-tiny")
-    assert read.component_values()["sam2-video"] == {"model": weights, "batch": 4}
+    assert dict(read.configure("tracker")) == {"model": weights, "batch": 4}
     assert read.precomputed.folder == tmp_path / "ids"
     other = {"mvsplat": {"checkpoint": "elsewhere.ckpt"}}
     assert read_toml(file, other).mvsplat.checkpoint == Path("elsewhere.ckpt")
     # A file may keep the table of a part that is not chosen; an option without effect is a slip.
-    assert "mvsplat" not in read_toml(file, {"predictor": "planesweep"}).component_values()
-    with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
+    assert read_toml(file, {"predictor": "planesweep"}).configure("predictor").name == "planesweep"
+    with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no component is"):
         read_toml(file, {"predictor": "planesweep", **other})
 
 
