@@ -6,7 +6,9 @@ a config. The modules of configs must not import large packages.
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args
@@ -97,6 +99,17 @@ class ComponentConfig(Config):
         """Import and return the class or function of the component."""
         target = cls.target or cls
         return pkgutil.resolve_name(target) if isinstance(target, str) else target
+
+    @classmethod
+    def describe(cls) -> list[str]:
+        """Return the first sentence of the docstring, and a list of the fields, as Markdown."""
+        text = re.sub(r":\w+:`[~\w.]*?(\w+)`", r"\1", inspect.getdoc(cls) or "")
+        sentence = text.partition("\n\n")[0].replace("\n", " ").replace("``", "`").split(". ")[0]
+        fields = []
+        for name, field in cls.model_fields.items():
+            default = "" if field.default is None else f"; default `{field.default}`"
+            fields.append(f"- `{name}`: {expected(cls, name)}{default}. {field.description}")
+        return [f"{sentence.rstrip('.')}.", *(["\n".join(fields)] if fields else [])]
 
     def pin(self) -> Self:
         """Return the config with the current digests of its files, which :meth:`load` then checks.

@@ -6,8 +6,6 @@ Built-in components are listed in tables, those of other packages are entry poin
 from __future__ import annotations
 
 import hashlib
-import inspect
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -18,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from slgaussian.components.config import ComponentConfig, expected
+from slgaussian.components.config import ComponentConfig
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import KnownFile, file_sha256
 
@@ -145,17 +143,15 @@ def restore(
     Raises:
         InputError: If the component or a field is unknown.
     """
-    name, places = identity[kind], places or {}
-    config = find_config(kind, name)
+    config, places = find_config(kind, identity[kind]), places or {}
     # Fields that were removed from the config and had no value had no effect.
-    stored = identity.get(name, {}).items()
+    stored = identity.get(config.name, {}).items()
     fields = {key: v for key, v in stored if v is not None or key in config.model_fields}
     if unknown := {**fields, **places}.keys() - config.model_fields.keys():
         config(**dict.fromkeys(unknown))  # raises InputError
     for key in config.files():
-        place, digest = places.get(key), fields.get(key)
-        if not place is digest is None:
-            fields[key] = KnownFile("" if place is None else str(place), digest)
+        if places.get(key) or fields.get(key):
+            fields[key] = KnownFile(str(places.get(key) or ""), fields.get(key))
     return config.model_construct(**fields)
 
 
@@ -232,24 +228,9 @@ def list_components() -> str:
     for kind, group in KINDS.items():
         text.append(f"## {kind.capitalize()}\n\n{group.help}")
         for name in names_of(kind):
-            default = " (default)" if name == group.default else ""
-            text.append(f"### {name}{default}")
+            text.append(f"### {name}{' (default)' if name == group.default else ''}")
             try:
-                config = find_config(kind, name)
+                text += find_config(kind, name).describe()
             except InputError as error:
                 text.append(str(error))
-                continue
-            text.append(_first_sentence(config))
-            fields = []
-            for key, field in config.model_fields.items():
-                default = "" if field.default is None else f"; default `{field.default}`"
-                fields.append(f"- `{key}`: {expected(config, key)}{default}. {field.description}")
-            text += ["\n".join(fields)] if fields else []
     return "\n\n".join(text) + "\n"
-
-
-def _first_sentence(config: type[ComponentConfig]) -> str:
-    """Return the first sentence of a docstring, without markup."""
-    first = (inspect.getdoc(config) or "").split("\n\n")[0].replace("\n", " ")
-    plain = re.sub(r":\w+:`[~\w.]*?(\w+)`", r"\1", first).replace("``", "`")
-    return plain.split(". ")[0].rstrip(".") + "."
