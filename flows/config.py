@@ -15,7 +15,7 @@ from flows.forms import PRESETS, RUNNERS, Form, Phrase, Runner, Sides, Size, Wid
 from slgaussian.components import method
 from slgaussian.components.config import ComponentConfig, Config
 from slgaussian.components.method import BuildConfig
-from slgaussian.components.registry import KINDS, configure, find_config, names_of
+from slgaussian.components.registry import KINDS, configure, find_config, list_names
 from slgaussian.datasets import FROM_FILES
 from slgaussian.datasets.configs import Bounds, Rule
 from slgaussian.errors import InputError
@@ -29,7 +29,7 @@ RULES = set(Rules.model_fields)
 
 
 def _kind(kind: str) -> Any:
-    names = [*names_of(kind)]
+    names = [*list_names(kind)]
     text = f"{KINDS[kind].help.removesuffix('.')}: {', '.join(names[:-1])} or {names[-1]}."
     extra: Any = {"enum": names}
     return Field(KINDS[kind].default, description=text, examples=names, json_schema_extra=extra)
@@ -80,7 +80,7 @@ def _tables() -> dict[str, type[ComponentConfig]]:
     """Return the configs of all registered components with fields, by table name."""
     tables = dict[str, type[ComponentConfig]]()
     for kind in KINDS:
-        for name in names_of(kind):
+        for name in list_names(kind):
             # Errors are reported when the component is used.
             with suppress(InputError):
                 config = find_config(kind, name)

@@ -75,18 +75,18 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
         raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
-    return layered(anchored(values, path.resolve().parent), overrides)
+    return layered(resolve_paths(values, path.resolve().parent), overrides)
 
 
-def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
+def resolve_paths(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return a copy of settings with relative paths resolved against ``folder``."""
-    values = _anchored(values, PATHS, folder)
+    values = _resolve_paths(values, PATHS, folder)
     if isinstance(values.get("store"), str) and "://" not in values["store"]:
         values["store"] = str(folder / values["store"])
     if isinstance(values.get("sources"), list):
-        values["sources"] = [_anchored_source(str(source), folder) for source in values["sources"]]
+        values["sources"] = [_resolve_source(str(source), folder) for source in values["sources"]]
     if isinstance(values.get("scenes"), list):
-        values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
+        values["scenes"] = [_resolve_paths(s, ("path", "labels"), folder) for s in values["scenes"]]
     for name in TABLES.keys() & values.keys():
         if isinstance(table := values[name], dict):
             places = [
@@ -94,11 +94,11 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
                 for key in TABLES[name].files()
                 if not TABLES[name].takes_name(key) or (folder / str(table.get(key))).exists()
             ]
-            values[name] = _anchored(table, places, folder)
+            values[name] = _resolve_paths(table, places, folder)
     return values
 
 
-def _anchored_source(source: str, folder: Path) -> str:
+def _resolve_source(source: str, folder: Path) -> str:
     """Resolve the path in SOURCE or PLACE=SOURCE; URLs and procedural rooms stay as they are."""
     place, equals, location = source.partition("=")
     if not equals or (folder / source).exists():
@@ -107,7 +107,7 @@ def _anchored_source(source: str, folder: Path) -> str:
     return f"{place}{equals}{folder / location}" if is_path else source
 
 
-def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
+def _resolve_paths(table: Any, keys: Sequence[str], folder: Path) -> Any:
     if not isinstance(table, dict):
         return table  # validation reports the error
     places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}

@@ -108,7 +108,7 @@ class ComponentConfig(Config):
         fields = []
         for name, field in cls.model_fields.items():
             default = "" if field.default is None else f"; default `{field.default}`"
-            fields.append(f"- `{name}`: {expected(cls, name)}{default}. {field.description}")
+            fields.append(f"- `{name}`: {describe_values(cls, name)}{default}. {field.description}")
         return [f"{sentence.rstrip('.')}.", *(["\n".join(fields)] if fields else [])]
 
     def pin(self) -> Self:
@@ -163,7 +163,7 @@ class ComponentConfig(Config):
         return self if type(self) is target and values == dict(self) else target(**values)
 
 
-def expected(config: type[BaseModel], name: str) -> str:
+def describe_values(config: type[BaseModel], name: str) -> str:
     """Describe the values that a field accepts: ``"a whole number from 1 to 3 or 'auto'"``."""
     options = _options(config, name)
     is_place = any(option.get("format") == "path" for option in options)
@@ -224,4 +224,4 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         message = str(cause or first["msg"])
         return f"{value}; {message[0].lower()}{message[1:]}"
     choices = [choice for option in _options(model, key) for choice in option.get("enum", ())]
-    return f"{value}, expected {expected(model, key)}{did_you_mean(first['input'], choices)}"
+    return f"{value}, expected {describe_values(model, key)}{did_you_mean(first['input'], choices)}"

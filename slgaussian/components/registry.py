@@ -64,7 +64,7 @@ KINDS = {
 """The kinds of components of the method, in the order in which they are used."""
 
 
-def names_of(kind: str) -> tuple[str, ...]:
+def list_names(kind: str) -> tuple[str, ...]:
     """Return the names of the components of one of :data:`KINDS` without importing them."""
     return tuple({**KINDS[kind].table, **plugins(KINDS[kind].group)})
 
@@ -227,7 +227,7 @@ def list_components() -> str:
     text = []
     for kind, group in KINDS.items():
         text.append(f"## {kind.capitalize()}\n\n{group.help}")
-        for name in names_of(kind):
+        for name in list_names(kind):
             text.append(f"### {name}{' (default)' if name == group.default else ''}")
             try:
                 text += find_config(kind, name).describe()

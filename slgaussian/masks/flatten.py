@@ -25,10 +25,10 @@ def flatten(proposals: Proposals) -> np.ndarray:
     labels = np.zeros(proposals.masks.shape[1:], np.int32)
     for rank, mask in enumerate(np.lexsort((-index, proposals.scores, -areas)), start=1):
         labels[proposals.masks[mask]] = rank
-    return renumbered(labels[None])[0]
+    return renumber(labels[None])[0]
 
 
-def renumbered(labels: np.ndarray) -> np.ndarray:
+def renumber(labels: np.ndarray) -> np.ndarray:
     """Renumber labels of any shape from 1 without gaps in ascending order; 0 does not change."""
     table = np.zeros(int(labels.max(initial=0)) + 1, np.int32)
     used = np.unique(labels)

@@ -29,11 +29,11 @@ def pixel_values(image: np.ndarray, side: int) -> tuple[torch.Tensor, tuple[int,
     height, width = image.shape[:2]
     scale = side / max(height, width)
     used = max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
-    pixels = normalised(image, used)
+    pixels = normalise(image, used)
     return F.pad(pixels, (0, side - used[1], 0, side - used[0])), used
 
 
-def normalised(image: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
+def normalise(image: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
     """Resize an image uint8 [H, W, 3] bilinearly and normalise it, float32 [1, 3, *size]."""
     resized = Image.fromarray(image).resize(size[::-1], Image.Resampling.BILINEAR)
     pixels = torch.from_numpy(np.array(resized, np.float32)).permute(2, 0, 1)[None] / 255
@@ -121,5 +121,5 @@ class Sam2(AutomaticProposer, Sam2Config):
         side, device = self.network.config.prompt_encoder_config.image_size, self.network.device
         used = side, side
         with encoder_precision(device):
-            levels = self.network.get_image_embeddings(normalised(image, used).to(device))
+            levels = self.network.get_image_embeddings(normalise(image, used).to(device))
         return Sam2Image(self.network, [e.float() for e in levels], image.shape[:2], used)

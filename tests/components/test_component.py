@@ -10,7 +10,7 @@ from pydantic import Field
 
 from slgaussian.components.config import ComponentConfig, File
 from slgaussian.components.method import Method
-from slgaussian.components.registry import KINDS, configure, find_config, names_of, restore
+from slgaussian.components.registry import KINDS, configure, find_config, list_names, restore
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile, file_digest
 from slgaussian.language.configs import LexiconConfig
@@ -18,7 +18,7 @@ from slgaussian.semantic.branch import Architecture, BranchLifting, make_branch,
 from slgaussian.semantic.configs import BranchConfig
 
 NAMES = {kind: known.default for kind, known in KINDS.items()}
-BUILT_IN = [(kind, name) for kind in KINDS for name in names_of(kind)]
+BUILT_IN = [(kind, name) for kind in KINDS for name in list_names(kind)]
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from slgaussian.masks import Proposals
-from slgaussian.masks.flatten import flatten, renumbered, without_crumbs
+from slgaussian.masks.flatten import flatten, renumber, without_crumbs
 
 
 def rectangles(*boxes, scores=None, size=(8, 10)):
@@ -39,8 +39,8 @@ def test_labels_cover_the_union_without_gaps_and_in_any_order(masks, seed):
 
 def test_renumbered_keeps_order_and_zero():
     labels = np.array([[0, 7], [3, 900]], np.int32)
-    assert renumbered(labels).tolist() == [[0, 2], [1, 3]]
-    assert renumbered(np.zeros((2, 2), np.int32)).tolist() == [[0, 0], [0, 0]]
+    assert renumber(labels).tolist() == [[0, 2], [1, 3]]
+    assert renumber(np.zeros((2, 2), np.int32)).tolist() == [[0, 0], [0, 0]]
 
 
 def test_crumbs_and_small_holes_go_to_the_nearest_piece():

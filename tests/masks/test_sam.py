@@ -17,7 +17,7 @@ from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import load_proposer
 from slgaussian.masks.configs import Automatic
-from slgaussian.masks.sam import normalised, pixel_values
+from slgaussian.masks.sam import normalise, pixel_values
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9)
@@ -87,7 +87,7 @@ def test_sam2_answers_what_transformers_answers(folders):
     scaled = torch.from_numpy(points * [SIDE / 80, SIDE / 48]).float()
     with torch.no_grad():
         expected = network(
-            pixel_values=normalised(image, (SIDE, SIDE)), input_points=scaled[None, :, None]
+            pixel_values=normalise(image, (SIDE, SIDE)), input_points=scaled[None, :, None]
         )
         prompted = proposer.encode(image)
         logits, predicted = prompted.segment(points)
