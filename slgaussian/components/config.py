@@ -131,16 +131,21 @@ class ComponentConfig(Config):
 
     @property
     def known_files(self) -> dict[str, KnownFile]:
-        """The files, folders and models among its fields; raises as :meth:`pin`."""
-        return {key: value for key, value in self.pin() if isinstance(value, KnownFile)}
+        """The files, folders and models among its fields, after :meth:`pin`."""
+        return {key: value for key, value in self if isinstance(value, KnownFile)}
 
     def identity(self) -> dict[str, Any]:
-        """Return the fields for artifacts and cache keys: plain data, files by digest."""
-        return {**dict(self), **{key: file.digest for key, file in self.known_files.items()}}
+        """Return the fields for artifacts and cache keys: plain data, files by digest.
+
+        Raises:
+            InputError: As :meth:`pin`.
+        """
+        pinned = self.pin()
+        return {**dict(pinned), **{key: file.digest for key, file in pinned.known_files.items()}}
 
     def places(self) -> dict[str, str]:
-        """Return the locations of its files, by field."""
-        return {key: file.place for key, file in self.known_files.items() if file.place}
+        """Return the locations of its files, by field; raises as :meth:`pin`."""
+        return {key: file.place for key, file in self.pin().known_files.items() if file.place}
 
     def values(self, otherwise: str = CHANGED_FILE) -> dict[str, Any]:
         """Return the fields, with files as places; InputError as in :meth:`load`."""
@@ -201,8 +206,9 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     # A misspelt key also causes a missing key; report the misspelt one.
     first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     is_config = issubclass(model, Config)
-    is_component = issubclass(model, ComponentConfig)
-    title = model.name if is_component else model.model_config.get("title") or ""
+    title = model.model_config.get("title") or ""
+    if issubclass(model, ComponentConfig):
+        title = model.name
     loc = list(first["loc"])
     if is_config:  # texts after the first part are names of the members of a union
         loc = loc[:1] + [part for part in loc[1:] if isinstance(part, int)]

@@ -97,7 +97,8 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
         "kind": kind,
         "target": base.target or registered,
     }
-    return type(base)(registered.__name__, (base,), content, title=name)
+    metaclass: Any = type(base)
+    return metaclass(registered.__name__, (base,), content, title=name)
 
 
 def _reduce(component: ComponentConfig) -> tuple[Any, ...]:
