@@ -39,10 +39,8 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
 
 
 def make_settings(values: dict[str, Any], source: str, model: Any = Settings) -> Any:
-    """Validate ``values`` with :func:`checked`; InputError also if one has no effect."""
-    settings = checked(model, values, source)
-    refuse_idle(values, settings, source)
-    return settings
+    """Validate ``values`` as :func:`read_toml` does those of ``overrides``."""
+    return read_toml(None, values, model, source)
 
 
 def read_toml(

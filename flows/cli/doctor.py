@@ -48,7 +48,7 @@ def doctor(
     slgaussian doctor --encoder clip --set clip.model=models/clip-vit-b-16
     slgaussian doctor --components
     """
-    from slgaussian.components.intact import check_component
+    from slgaussian.components.pretrained import check_component
     from slgaussian.components.registry import list_components
     from slgaussian.kernels import threads
 

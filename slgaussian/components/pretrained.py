@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
+from slgaussian.components.config import ComponentConfig
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 from slgaussian.formats import strict_json
-from slgaussian.io import file_digest
-
-Files = TypeVar("Files")
+from slgaussian.io import file_digest, file_sha256
 
 CONFIG, WEIGHTS, INDEX = "config.json", "model.safetensors", "model.safetensors.index.json"
 OPEN_CLIP_CONFIG = "open_clip_config.json"
@@ -220,10 +220,10 @@ def find_tokenizer(place: str | Path, download: bool = True) -> list[Path]:
 def _find(
     kind: str,
     place: str | Path,
-    read: Callable[[Path], Files],
+    read: Callable[[Path], Any],
     expected: str,
     patterns: Sequence[list[str]],
-) -> Files:
+) -> Any:
     """Read a folder, or that of a name in the hub's cache; else download by one of ``patterns``."""
     if Path(place).is_dir():
         return read(Path(place))
@@ -275,6 +275,49 @@ def tokenizer_digest(place: str | Path) -> str:
     Other files in the folder have no effect.
     """
     return _digest({file.name: file for file in find_tokenizer(place)})
+
+
+def check_component(component: ComponentConfig) -> str:
+    """Check the files of a component, and return a sentence about them; empty without files.
+
+    Nothing is downloaded. Weights in the hub's cache are compared with the hub's digests. Models
+    are loaded, which checks their configuration and the names and shapes of tensors; their weights
+    must be finite. InputError if a file is missing, damaged, or not what the component needs.
+    """
+    verified, places = list[bool](), list[str]()
+    for key, file in component.files().items():
+        if (place := getattr(component, key)) is None:
+            continue
+        places.append(f"{key} {place}")
+        if file.digest is model_digest:
+            weights = find_model(place, download=False).files
+            verified += [is_of_hub(each) for each in weights if each.suffix != ".json"]
+        elif file.digest is tokenizer_digest:
+            find_tokenizer(place, download=False)
+    network, label = getattr(component.pin().load(), "network", None), ", ".join(places)
+    for name, tensor in () if network is None else network.named_parameters():
+        if not tensor.isfinite().all():
+            raise InputError(f"{label}: {name} holds NaN or infinity; get it again")
+    of_hub = verified and all(verified)
+    verdict = "is what the hub has, by its SHA-256" if of_hub else "can be loaded"
+    return f"{label}: {verdict}" if label else ""
+
+
+def is_of_hub(file: Path) -> bool:
+    """Return whether a file is in the hub's cache; InputError if it has not the cached SHA-256."""
+    stored = file.resolve()
+    if not re.fullmatch("[0-9a-f]{64}", stored.name):
+        return False
+    try:
+        digest = file_sha256(file)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); get it again") from error
+    if stored.name != digest:
+        raise InputError(
+            f"{file}: is damaged: its SHA-256 begins with {digest[:8]}, and of the file on the hub "
+            f"with {stored.name[:8]}; delete {stored} and get it again"
+        )
+    return True
 
 
 def _digest(files: Mapping[str, Path]) -> str:

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from slgaussian.components.intact import check_component
-from slgaussian.components.pretrained import WEIGHTS
+from slgaussian.components.pretrained import WEIGHTS, check_component
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
 
