@@ -165,13 +165,13 @@ class Stage:
     ) -> StageResult:
         """Run as a Prefect task, with ``inputs`` for its graph."""
         run = current_run()
-        ref = self._computed(run, arguments)
+        ref = self._compute_with_costs(run, arguments)
         Records(run.store).keep(run.key, ref)
         if refresh:
             ref = replace(ref, meta={**ref.meta, "refreshed": True})
         return StageResult(ref)
 
-    def _computed(self, run: RunContext, arguments: Mapping[str, Any]) -> ArtifactRef:
+    def _compute_with_costs(self, run: RunContext, arguments: Mapping[str, Any]) -> ArtifactRef:
         inputs = {n: value for n, value in arguments.items() if isinstance(value, ArtifactRef)}
         settings = {n: canonical(value, n) for n, value in arguments.items() if n not in inputs}
         specs = {name: ref.spec for name, ref in inputs.items()}

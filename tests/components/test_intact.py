@@ -67,7 +67,7 @@ def test_damaged_or_missing_weights_are_refused_by_name(copy):
 
 
 @pytest.mark.parametrize(("model", "name"), [("sam", "clip"), ("clip", "sam"), ("sam2", "sam")])
-def test_a_model_of_another_kind_is_refuse(folders, model, name):
+def test_model_of_another_architecture_raises_input_error(folders, model, name):
     refuse(name, folders[model])
 
 
@@ -84,6 +84,6 @@ def test_file_in_hub_cache_is_checked_by_its_sha256(copy):
     assert "is damaged: its SHA-256 begins with" in message and f"delete {blob}" in message
 
 
-def test_model_that_is_not_cached_is_not_downloaded():
+def test_check_downloads_no_model():
     with pytest.raises(InputError, match="`hf download no-such-owner/no-such-model`"):
         check("clip", "no-such-owner/no-such-model")

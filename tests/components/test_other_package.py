@@ -127,7 +127,7 @@ def test_field_is_built_with_plugin(run_python, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["regions", "lexicon"])
-def test_plugin_with_name_of_built_in_component_is_refused(run_python, tmp_path, name):
+def test_plugin_with_name_of_built_in_component_raises_input_error(run_python, tmp_path, name):
     folder = package(
         tmp_path / "p",
         "mine",
@@ -143,7 +143,7 @@ def test_plugin_with_name_of_built_in_component_is_refused(run_python, tmp_path,
     assert printed.startswith(f"proposer '{name}': a component of this name is built in")
 
 
-def test_plugin_that_cannot_be_imported_is_named_where_it_is_used(run_python, tmp_path):
+def test_plugin_that_cannot_be_imported_raises_input_error_with_its_name(run_python, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
     folder = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
     listed = run_python(command("doctor", "--components"), folder).splitlines()

@@ -28,7 +28,7 @@ stacks = hnp.arrays(
 
 
 @given(stacks)
-def test_equals_the_plain_rule(stack):
+def test_vote_equals_plain_majority(stack):
     labels, margin = vote(stack)
     expected_labels, expected_margin = plain_vote(stack)
     np.testing.assert_array_equal(labels, expected_labels)
@@ -37,7 +37,7 @@ def test_equals_the_plain_rule(stack):
 
 
 @given(stacks, st.lists(st.integers(1, 4), min_size=7, max_size=7))
-def test_a_map_that_counts_several_times_is_as_many_equal_ones(stack, times):
+def test_map_with_weight_counts_as_many_equal_maps(stack, times):
     times = times[: len(stack)]
     labels, margin = vote(stack, times)
     expected, won = vote(np.repeat(stack, times, 0))
