@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 from skimage.measure import label as connected_components
+from skimage.segmentation import relabel_sequential
 
 from slgaussian.masks import Proposals
 
@@ -30,11 +31,7 @@ def flatten(proposals: Proposals) -> np.ndarray:
 
 def renumber(labels: np.ndarray) -> np.ndarray:
     """Renumber labels of any shape from 1 without gaps in ascending order; 0 does not change."""
-    table = np.zeros(int(labels.max(initial=0)) + 1, np.int32)
-    used = np.unique(labels)
-    used = used[used > 0]
-    table[used] = np.arange(1, len(used) + 1)
-    return table[labels]
+    return relabel_sequential(labels)[0].astype(np.int32)
 
 
 def without_crumbs(labels: np.ndarray) -> np.ndarray:
