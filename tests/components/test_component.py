@@ -12,7 +12,7 @@ from slgaussian.components.config import ComponentConfig, File
 from slgaussian.components.method import Method
 from slgaussian.components.registry import KINDS, configure, find_config, list_names, restore
 from slgaussian.errors import InputError
-from slgaussian.io import KnownFile, file_digest
+from slgaussian.io import file_digest
 from slgaussian.language.configs import LexiconConfig
 from slgaussian.semantic.branch import Architecture, BranchLifting, make_branch, save_branch
 from slgaussian.semantic.configs import BranchConfig
@@ -75,6 +75,8 @@ def test_restore_loads_component_from_identity_and_places(branch):
     restored = restore("lifting", json.loads(json.dumps(identity)), branch.places())
     assert restored == branch == pickle.loads(pickle.dumps(branch))
     assert isinstance(restored.load(), BranchLifting)
+    place_alone = restore("lifting", {"lifting": "branch"}, branch.places())  # of any content
+    assert isinstance(place_alone.load(), BranchLifting)
     with pytest.raises(InputError, match="no version is in use"):
         restore("lifting", identity).load()
 
@@ -88,10 +90,6 @@ def test_load_refuses_file_that_changed_after_pin(branch, weights):
     weights.unlink()
     with pytest.raises(InputError, match=r"branch\.safetensors: cannot be read \(No such file"):
         branch.load()
-
-
-def test_file_without_known_digest_may_have_any_content(weights):
-    assert KnownFile(str(weights), None).checked("weights", file_digest) == str(weights)
 
 
 def test_pin_reports_missing_file_by_component(tmp_path):

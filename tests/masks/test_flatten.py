@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from slgaussian.masks import Proposals
-from slgaussian.masks.flatten import flatten, renumber, without_crumbs
+from slgaussian.masks.flatten import flatten, without_crumbs
 
 
 def rectangles(*boxes, scores=None, size=(8, 10)):
@@ -35,12 +35,6 @@ def test_flatten_covers_union_without_gaps_in_any_order_of_masks(masks, seed):
     assert set(np.unique(labels)) - {0} == set(range(1, labels.max(initial=0) + 1))
     shuffled = Proposals(masks[areas_differ], proposals.scores[areas_differ])
     np.testing.assert_array_equal(flatten(shuffled), labels)  # scores differ: no ties by index
-
-
-def test_renumber_keeps_order_and_zero():
-    labels = np.array([[0, 7], [3, 900]], np.int32)
-    assert renumber(labels).tolist() == [[0, 2], [1, 3]]
-    assert renumber(np.zeros((2, 2), np.int32)).tolist() == [[0, 0], [0, 0]]
 
 
 def test_crumbs_and_small_holes_take_label_of_nearest_piece():

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,12 +22,8 @@ def draw_ids(top, seed=0, size=SIZE):
     return np.kron(coarse, np.ones((8, 8), np.int64))
 
 
-def write_grey(file, ids):
-    Image.fromarray(ids.astype(np.uint8)).save(file)
-
-
-def write_16_bits(file, ids):
-    Image.fromarray(ids.astype(np.uint16)).save(file)
+def write_grey(file, ids, dtype=np.uint8):
+    Image.fromarray(ids.astype(dtype)).save(file)
 
 
 def write_palette(file, ids):
@@ -44,7 +41,7 @@ def write_colors(file, ids):
     ("write", "name", "top"),
     [
         (write_grey, "a.png", 255),
-        (write_16_bits, "a.png", 40_000),
+        (partial(write_grey, dtype=np.uint16), "a.png", 40_000),
         (write_palette, "a.png", 200),
         (write_colors, "a.png", 2**24 - 1),
         (np.save, "a.npy", 2**31 - 1),
@@ -65,7 +62,7 @@ def test_associate_keeps_ids_and_holes_of_files_without_proposer(tmp_path):
 
     views = [view(canvas()), view(canvas(seed=1), "sub/b.jpg")]
     maps = [draw_ids(700, seed) for seed in (0, 1)]
-    write_16_bits(tmp_path / "a.png", maps[0])
+    write_grey(tmp_path / "a.png", maps[0], np.uint16)
     np.save(tmp_path / "b.npy", maps[1].astype(np.uint16))
     result = associate(views, Never(), Precomputed(folder=tmp_path))
     np.testing.assert_array_equal(result.labels, maps)
