@@ -80,7 +80,7 @@ class Method(BuildConfig):
                     f"proposer, tracker, encoder, codes and lifting, which are {names}"
                 )
         for kind, choice in chosen.items():
-            fields[kind] = configure(kind, choice, settings or {}).pin()
+            fields[kind] = configure(kind, choice, settings).pin()
         super().__init__(**fields)
 
     @property

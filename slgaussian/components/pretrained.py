@@ -113,9 +113,8 @@ def _load(model_files: ModelFiles, digest: str, family: Family, device: str) -> 
     try:
         return network.eval().requires_grad_(False).to(device)
     except (RuntimeError, AssertionError) as problem:
-        reason = str(problem).splitlines()[0]
-        message = f"{family.component} device {device!r}: cannot be used ({reason})"
-        raise InputError(message) from None
+        reason = f"cannot be used ({str(problem).splitlines()[0]})"
+        raise InputError(f"{family.component} device {device!r}: {reason}") from None
 
 
 def load_tokenizer(place: str | Path, class_name: str) -> Any:

@@ -13,7 +13,6 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from slgaussian.components.config import ComponentConfig
@@ -114,18 +113,18 @@ def _make_blank(kind: str, name: str) -> ComponentConfig:
 def configure(
     kind: str,
     component: str | ComponentConfig,
-    tables: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+    tables: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> ComponentConfig:
     """Return the config of a component that is given by name or by a config.
 
     Args:
-        tables: {name: {field: value}}. The fields of one that is given by name.
+        tables: {name: {field: value}}, optional. The fields of one that is given by name.
 
     Raises:
         InputError: As :func:`find_config`, or if a field is unknown or a value is invalid.
     """
     if not isinstance(component, ComponentConfig):
-        return find_config(kind, component)(**tables.get(component, {}))
+        return find_config(kind, component)(**(tables or {}).get(component, {}))
     config = find_config(kind, component.name)
     return component if isinstance(component, config) else config(**dict(component))
 
