@@ -93,12 +93,8 @@ def _tables() -> dict[str, type[ComponentConfig]]:
 TABLES = _tables()
 """Configs of components, by table name."""
 
-Method: type[MethodSettings] = create_model(
-    "Method",
-    __base__=MethodSettings,
-    __doc__=MethodSettings.__doc__,
-    **{table: (config, config()) for table, config in TABLES.items()},
-)
+_fields: Any = {table: (config, config()) for table, config in TABLES.items()}
+Method = create_model("Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **_fields)
 """Settings of the method, with the tables of all components."""
 
 
