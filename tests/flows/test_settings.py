@@ -138,15 +138,6 @@ def test_invalid_configuration_is_refused_in_one_sentence(file, text, sentence):
     assert "run.toml" in str(error.value)
 
 
-def test_widths_of_branch_are_text_or_list():
-    values = {"lessons": "corpus", "out": "out"}
-    for widths in ("8,16", [8, 16]):
-        assert checked(TrainSettings, {**values, "widths": widths}, "train").widths == (8, 16)
-    for widths in ("8,x", "8,0", ""):
-        with pytest.raises(InputError, match=r"train: widths.* found"):
-            checked(TrainSettings, {**values, "widths": widths}, "train")
-
-
 def test_scene_with_name_of_room_raises_input_error():
     scene = {"name": "room_3", "context": ["1", "2"]}
     with pytest.raises(InputError, match="two scenes are called 'room_3'"):
