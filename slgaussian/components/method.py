@@ -47,7 +47,7 @@ class Method(BuildConfig):
 
     Args:
         predictor, proposer, tracker, encoder, codes, lifting: The component of each kind: its name,
-            by default that of :data:`slgaussian.components.registry.KINDS`, or its config.
+            or its config.
         settings: Fields of components that are given by name, by this name: ``{"mvsplat":
             {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
         **build: Fields of :class:`BuildConfig`. The same seed gives the same bytes, independent of
@@ -66,22 +66,26 @@ class Method(BuildConfig):
 
     def __init__(
         self,
-        *components: str | ComponentConfig,
+        predictor: str | ComponentConfig = KINDS["predictor"].default,
+        proposer: str | ComponentConfig = KINDS["proposer"].default,
+        tracker: str | ComponentConfig = KINDS["tracker"].default,
+        encoder: str | ComponentConfig = KINDS["encoder"].default,
+        codes: str | ComponentConfig = KINDS["codes"].default,
+        lifting: str | ComponentConfig = KINDS["lifting"].default,
         settings: Mapping[str, Mapping[str, Any]] | None = None,
-        **fields: Any,
+        **build: Any,
     ) -> None:
-        fields |= dict(zip(KINDS, components, strict=False))
-        chosen = {kind: fields.pop(kind, known.default) for kind, known in KINDS.items()}
+        choices = predictor, proposer, tracker, encoder, codes, lifting
         for name in settings or {}:
-            if not any(name == choice for choice in chosen.values()):
-                names = ", ".join(repr(getattr(c, "name", c)) for c in chosen.values())
+            if not any(name == choice for choice in choices):
+                names = ", ".join(repr(getattr(c, "name", c)) for c in choices)
                 raise InputError(
                     f"settings: found some of {name!r}, expected only those of the predictor, "
                     f"proposer, tracker, encoder, codes and lifting, which are {names}"
                 )
-        for kind, choice in chosen.items():
-            fields[kind] = configure(kind, choice, settings).pin()
-        super().__init__(**fields)
+        for kind, choice in zip(KINDS, choices, strict=True):
+            build[kind] = configure(kind, choice, settings).pin()
+        super().__init__(**build)
 
     @property
     def components(self) -> tuple[ComponentConfig, ...]:
