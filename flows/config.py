@@ -73,7 +73,8 @@ class MethodSettings(Rules, BuildConfig):
     @cached_property
     def field_method(self) -> method.Method:
         """The method that builds a field; InputError if files cannot be read."""
-        return method.Method(*self.components, **dict(BuildConfig.of(self)))
+        components: dict[str, Any] = {kind: self.configure(kind) for kind in KINDS}
+        return method.Method(**components, **dict(BuildConfig.of(self)))
 
 
 def _tables() -> dict[str, type[ComponentConfig]]:
