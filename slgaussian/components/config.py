@@ -149,13 +149,9 @@ class ComponentConfig(Config):
 
     def values(self, otherwise: str = CHANGED_FILE) -> dict[str, Any]:
         """Return the fields, with files as places; InputError as in :meth:`load`."""
-        marks = self.files()
-        return {
-            key: value.checked(key, marks[key].digest, otherwise)
-            if isinstance(value, KnownFile)
-            else value
-            for key, value in self
-        }
+        marks, files = self.files(), self.known_files
+        places = {k: file.checked(k, marks[k].digest, otherwise) for k, file in files.items()}
+        return {**dict(self), **places}
 
     def load(self, otherwise: str = CHANGED_FILE) -> Any:
         """Load the component; one that implements itself and is loaded already returns itself.

@@ -66,11 +66,6 @@ def test_damaged_or_missing_weights_are_refused_by_name(copy):
     assert f"has no {WEIGHTS}" in refuse("sam", place)
 
 
-@pytest.mark.parametrize(("model", "name"), [("sam", "clip"), ("clip", "sam"), ("sam2", "sam")])
-def test_model_of_another_architecture_raises_input_error(folders, model, name):
-    refuse(name, folders[model])
-
-
 def test_file_in_hub_cache_is_checked_by_its_sha256(copy):
     place = copy("sam")
     content = (place / WEIGHTS).read_bytes()
