@@ -63,7 +63,8 @@ class MethodSettings(Rules, BuildConfig):
     def configure(self, kind: str) -> ComponentConfig:
         """Return the config of the chosen component of a kind; InputError if it is unknown."""
         name = getattr(self, kind)
-        return configure(kind, self.__dict__.get(name.replace("-", "_"), name))
+        table = name.replace("-", "_")
+        return configure(kind, getattr(self, table) if table in TABLES else name)
 
     @property
     def components(self) -> tuple[ComponentConfig, ...]:
