@@ -113,14 +113,12 @@ def _check_store(place: str) -> str:
     """Write to the store, or if it does not exist yet, to the folder in which it would be made."""
     from slgaussian.storage.store import ArtifactStore
 
-    store, free = ArtifactStore(place), MIN_FREE_BYTES
-    if not store.local:
-        store.check_writable()
-    else:
-        folder = Path(store.path)
-        existing = next(path for path in (folder, *folder.parents) if path.exists())
-        ArtifactStore(str(existing)).check_writable()
-        free = shutil.disk_usage(existing).free
+    store = ArtifactStore(place)
+    folder = Path(store.path)
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    probe = ArtifactStore(str(existing)) if store.local and existing.is_dir() else store
+    probe.check_writable()
+    free = shutil.disk_usage(existing).free if store.local else MIN_FREE_BYTES
     if free < MIN_FREE_BYTES:
         advice = "make room (`slgaussian store gc`), or choose another --store"
         raise InputError(f"{store.root} has {free / 2**30:.1f} GiB free; {advice}")
