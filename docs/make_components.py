@@ -16,7 +16,7 @@ command line, `depth_candidates` in the table `[planesweep]` of a configuration 
 (`[sam2_video]` for `sam2-video`), and in Python
 `slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. Cache keys and results record a
 file, folder or model by its content. How a component is added:
-[architecture](../architecture.md#where-to-add-a-part)."""
+[architecture](../architecture.md#where-to-add-a-component)."""
 
 if __name__ == "__main__":
     PAGE.write_text(f"{HEAD}\n\n{list_components()}", "utf-8")

@@ -126,7 +126,7 @@ def check(config: Settings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`score_scenes`."""
     scenes, _ = scenes_of(config)
     for settings in (config, *(variant.settings for variant in combinations(config))):
-        settings.built_by.check()
+        settings.field_method.check()
     chosen_baselines(config.against)
     stages_to_refresh(config, REFRESHABLE)
     store.check_writable()
@@ -137,7 +137,7 @@ def check(config: Settings, store: ArtifactStore) -> None:
 def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     check(config, store)
     scenes, notes = scenes_of(config)
-    variants, method = combinations(config), config.built_by
+    variants, method = combinations(config), config.field_method
     refresh = stages_to_refresh(config, REFRESHABLE)
     limits = config.max_failures, config.only_missing
     with open_workers(config.runner, config.workers, store, refresh, *limits) as workers:
@@ -301,7 +301,7 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
         else:
             # The file of an earlier run describes other scenes.
             (out / name).unlink(missing_ok=True)
-    write_fields(store, computed.fields, settings.built_by.encoder.places(), out)
+    write_fields(store, computed.fields, settings.field_method.encoder.places(), out)
     return results
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -12,34 +12,24 @@ from typing import Any, Literal, Self
 from pydantic import Field, create_model, model_validator
 
 from flows.forms import PRESETS, RUNNERS, Form, Phrase, Runner, Sides, Size, Widths
-from slgaussian.components.component import Component
+from slgaussian.components import method
 from slgaussian.components.config import ComponentConfig, Config
 from slgaussian.components.method import BuildConfig
-from slgaussian.components.method import Method as BuildMethod
-from slgaussian.components.registry import KINDS, find_config, names_of, plugins
+from slgaussian.components.registry import KINDS, configure, find_config, list_names
 from slgaussian.datasets import FROM_FILES
 from slgaussian.datasets.configs import Bounds, Rule
 from slgaussian.errors import InputError
 from slgaussian.io import read_lines
 from slgaussian.kernels import threads
-from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig
 from slgaussian.language.rules import Rules
-from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
-from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
-from slgaussian.semantic.configs import BranchConfig, TrainingConfig
-
-
-def table_of(component: str) -> str:
-    """Return the name of a component's table, without hyphens as in Python names."""
-    return component.replace("-", "_")
-
+from slgaussian.semantic.configs import TrainingConfig
 
 RULES = set(Rules.model_fields)
 """Names of the settings of a query."""
 
 
 def _kind(kind: str) -> Any:
-    names = [*names_of(kind)]
+    names = [*list_names(kind)]
     text = f"{KINDS[kind].help.removesuffix('.')}: {', '.join(names[:-1])} or {names[-1]}."
     extra: Any = {"enum": names}
     return Field(KINDS[kind].default, description=text, examples=names, json_schema_extra=extra)
@@ -69,71 +59,45 @@ class MethodSettings(Rules, BuildConfig):
         False,
         description="Continue even if the matches between the photographs contradict the cameras.",
     )
-    planesweep: PlaneSweepConfig = PlaneSweepConfig()
-    mvsplat: MVSplatConfig = MVSplatConfig()
-    sam: SamConfig = SamConfig()
-    sam2: Sam2Config = Sam2Config()
-    sam2_video: Sam2VideoConfig = Sam2VideoConfig()
-    precomputed: PrecomputedConfig = PrecomputedConfig()
-    lexicon: LexiconConfig = LexiconConfig()
-    clip: ClipConfig = ClipConfig()
-    grid: GridConfig = GridConfig()
-    branch: BranchConfig = BranchConfig()
 
-    def component_names(self) -> dict[str, str]:
-        """Return the name of the component of each kind."""
-        return self.model_dump(include=set(KINDS))
-
-    def component_values(self) -> dict[str, dict[str, Any]]:
-        """Return the field values of the chosen components, by their names."""
-        return {
-            name: dict(getattr(self, table_of(name)))
-            for name in self.component_names().values()
-            if table_of(name) in TABLES
-        }
-
-    def part(self, kind: str) -> Component:
-        """Return the component of a kind; InputError if its files cannot be read."""
+    def configure(self, kind: str) -> ComponentConfig:
+        """Return the config of the chosen component of a kind; InputError if it is unknown."""
         name = getattr(self, kind)
-        return Component.of(kind, name, self.component_values().get(name))
+        table = name.replace("-", "_")
+        return configure(kind, getattr(self, table) if table in TABLES else name)
+
+    @property
+    def components(self) -> tuple[ComponentConfig, ...]:
+        """The configs of the chosen components; InputError if one is unknown."""
+        return tuple(map(self.configure, KINDS))
 
     @cached_property
-    def built_by(self) -> BuildMethod:
+    def field_method(self) -> method.Method:
         """The method that builds a field; InputError if files cannot be read."""
-        parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
-        return BuildMethod(**parts, **dict(BuildConfig.of(self)))
-
-    @cached_property
-    def identity(self) -> dict[str, Any]:
-        """All inputs of a field except the sample, for cache keys and artifacts.
-
-        See :meth:`slgaussian.components.method.Method.identity`.
-        """
-        return self.built_by.identity()
+        components: dict[str, Any] = {kind: self.configure(kind) for kind in KINDS}
+        return method.Method(**components, **dict(BuildConfig.of(self)))
 
 
-def _plugin_tables() -> Iterator[tuple[str, Any]]:
-    """Yield table name and default config of each component of other packages."""
-    for kind, registered in KINDS.items():
-        for name in plugins(registered.group):
+def _tables() -> dict[str, type[ComponentConfig]]:
+    """Return the configs of all registered components with fields, by table name."""
+    tables = dict[str, type[ComponentConfig]]()
+    for kind in KINDS:
+        for name in list_names(kind):
             # Errors are reported when the component is used.
             with suppress(InputError):
                 config = find_config(kind, name)
-                if config.model_fields:
-                    yield table_of(name), (config, config())
+                if config() and config.model_fields:
+                    tables.pop(config.table, None)  # of kinds that share one, the last
+                    tables[config.table] = config
+    return tables
 
 
-Method = create_model(
-    "Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **dict(_plugin_tables())
-)
-"""Settings of the method, with the tables of components of other packages."""
-
-TABLES: dict[str, type[ComponentConfig]] = {
-    name: field.annotation
-    for name, field in Method.model_fields.items()
-    if isinstance(field.annotation, type) and issubclass(field.annotation, ComponentConfig)
-}
+TABLES = _tables()
 """Configs of components, by table name."""
+
+_fields: Any = {table: (config, config()) for table, config in TABLES.items()}
+Method = create_model("Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **_fields)
+"""Settings of the method, with the tables of all components."""
 
 
 class SceneSettings(Config):

@@ -95,7 +95,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
 
 def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
     """Do the work of :func:`supervise_corpus` within any flow."""
-    config.built_by.check()
+    config.field_method.check()
     pipeline = make_lessons, lesson_arguments(config)
     return _prepare(config, store, SUPERVISE, *pipeline, verbose)[0]
 
@@ -103,7 +103,7 @@ def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = Fals
 def lesson_arguments(config: CorpusSettings) -> tuple[Any, ...]:
     """Return the arguments of :func:`make_lessons` besides the source."""
     framing = Framing(config.size, config.near, config.far)
-    return Bounds.of(config), config.trust_cameras, framing, config.built_by
+    return Bounds.of(config), config.trust_cameras, framing, config.field_method
 
 
 def make_lessons(

@@ -108,7 +108,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
 
 def check(config: DatasetSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`make_training_set`."""
-    config.built_by.check()
+    config.field_method.check()
     corpus.check(config, store)
     sources = sources_of(config.sources)
     for name in config.licences:
@@ -156,7 +156,9 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
     settings = {
         **config.model_dump(mode="json", include=set(SETTINGS)),
         **dict(Bounds.of(config)),
-        "method": {key: value for key, value in config.identity.items() if key != "lifting"},
+        "method": {
+            key: value for key, value in config.field_method.identity().items() if key != "lifting"
+        },
         "stages": {stage.name: stage.version for stage in stages},
     }
     version, written = _write(config, finished, split, clips, failures, settings, store)
@@ -238,7 +240,7 @@ def _sample_tasks(
         for row in store.get(refs[pairs.name]).drop_columns("chunk").to_pylist():
             if clips.owners.get(row["clip"]) == name:
                 frames = {key: row[key] for key in ("sample", "clip", "context", "targets")}
-                method = config.built_by, config.trust_cameras
+                method = config.field_method, config.trust_cameras
                 measured = {**row, "cameras": cameras}
                 arguments = chunk, frames, framing, *method, measured, config.images
                 tasks.append(SceneTask(row["sample"], make_example, arguments, framed.name))

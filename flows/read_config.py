@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from flows.config import TABLES, MethodSettings, Settings, table_of
+from flows.config import TABLES, MethodSettings, Settings
 from flows.forms import layered
-from slgaussian.components.registry import find_config
+from slgaussian.components.registry import KINDS
 from slgaussian.errors import InputError
 from slgaussian.storage.remote import check_url
 
@@ -34,16 +34,13 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
     if isinstance(config, MethodSettings):
-        for kind, name in config.component_names().items():
-            find_config(kind, name)  # InputError for an unknown name
+        config.components  # noqa: B018  (InputError for an unknown name)
     return config
 
 
 def make_settings(values: dict[str, Any], source: str, model: Any = Settings) -> Any:
-    """Validate ``values`` with :func:`checked`; InputError also if one has no effect."""
-    settings = checked(model, values, source)
-    refuse_idle(values, settings, source)
-    return settings
+    """Validate ``values`` as :func:`read_toml` does those of ``overrides``."""
+    return read_toml(None, values, model, source)
 
 
 def read_toml(
@@ -76,30 +73,30 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
         raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
-    return layered(anchored(values, path.resolve().parent), overrides)
+    return layered(resolve_paths(values, path.resolve().parent), overrides)
 
 
-def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
+def resolve_paths(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return a copy of settings with relative paths resolved against ``folder``."""
-    values = _anchored(values, PATHS, folder)
+    values = _resolve_paths(values, PATHS, folder)
     if isinstance(values.get("store"), str) and "://" not in values["store"]:
         values["store"] = str(folder / values["store"])
     if isinstance(values.get("sources"), list):
-        values["sources"] = [_anchored_source(str(source), folder) for source in values["sources"]]
+        values["sources"] = [_resolve_source(str(source), folder) for source in values["sources"]]
     if isinstance(values.get("scenes"), list):
-        values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
+        values["scenes"] = [_resolve_paths(s, ("path", "labels"), folder) for s in values["scenes"]]
     for name in TABLES.keys() & values.keys():
-        if isinstance(values[name], dict):
+        if isinstance(table := values[name], dict):
             places = [
                 key
-                for key in TABLES[name].files().keys() & values[name].keys()
-                if not TABLES[name].takes_name(key) or (folder / str(values[name][key])).exists()
+                for key in TABLES[name].files()
+                if not TABLES[name].takes_name(key) or (folder / str(table.get(key))).exists()
             ]
-            values[name] = _anchored(values[name], places, folder)
+            values[name] = _resolve_paths(table, places, folder)
     return values
 
 
-def _anchored_source(source: str, folder: Path) -> str:
+def _resolve_source(source: str, folder: Path) -> str:
     """Resolve the path in SOURCE or PLACE=SOURCE; URLs and procedural rooms stay as they are."""
     place, equals, location = source.partition("=")
     if not equals or (folder / source).exists():
@@ -108,7 +105,7 @@ def _anchored_source(source: str, folder: Path) -> str:
     return f"{place}{equals}{folder / location}" if is_path else source
 
 
-def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
+def _resolve_paths(table: Any, keys: Sequence[str], folder: Path) -> Any:
     if not isinstance(table, dict):
         return table  # validation reports the error
     places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}
@@ -117,10 +114,10 @@ def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
 
 def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -> None:
     """Raise InputError if ``values`` has the table of a component that is not used."""
-    used = set(map(table_of, settings.component_values()))
+    used = {component.table for component in settings.components}
     for name in (name for name in TABLES if name in values and name not in used):
-        chosen = ", ".join(f"{kind} {part!r}" for kind, part in settings.component_names().items())
+        chosen = ", ".join(f"{kind} {getattr(settings, kind)!r}" for kind in KINDS)
         raise InputError(
-            f"{source}: settings of {name!r} are given, but no part is {name!r} (found {chosen}); "
-            "choose it, or leave them out"
+            f"{source}: settings of {name!r} are given, but no component is {name!r} (found "
+            f"{chosen}); choose it, or leave them out"
         )

@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from flows.config import TABLES, Method, SceneSettings, Settings, table_of
+from flows.config import TABLES, Method, SceneSettings, Settings
 from flows.scene import scene_task
 from flows.sweep import combinations, sweep_tasks
 from slgaussian import __version__
@@ -116,7 +116,8 @@ def manifest(
         "slgaussian": __version__,
         "commit": commit(),
         "seed": settings.seed,
-        "settings": settings.model_dump(mode="json", include=names) | settings.identity,
+        "settings": settings.model_dump(mode="json", include=names)
+        | settings.field_method.identity(),
         "methods": {name: _described(row) for name, row in baselines.items()},
         "protocols": [protocol.label for protocol in PROTOCOLS.values()],
         "weights": _weights(settings),
@@ -172,7 +173,7 @@ def run_toml(
     ``refs`` are the results of stages by scene and method, those of our method first.
     """
     variants = (variant.settings for variant in combinations(settings))
-    used = {table_of(name) for each in (settings, *variants) for name in each.component_values()}
+    used = {c.table for each in (settings, *variants) for c in each.components} & TABLES.keys()
     omitted = OMITTED | (TABLES.keys() - used)
     values = settings.model_dump(mode="json", exclude_none=True, exclude=omitted)
     values["scenes"] = [scene.model_dump(mode="json", exclude_none=True) for scene in scenes]
@@ -205,8 +206,8 @@ def _weights(settings: Settings) -> dict[str, str]:
     """Return the digests of the files of components, those of variants if they differ."""
     weights = dict[str, str]()
     for variant in (None, *combinations(settings)):
-        for part in (variant.settings if variant else settings).built_by.components:
-            for key, file in part.files.items():
+        for part in (variant.settings if variant else settings).field_method.components:
+            for key, file in part.known_files.items():
                 name, digest = f"{part.name}.{key}", file.digest or ""
                 if variant and weights.get(name, digest) != digest:
                     name = f"{variant.name}: {name}"

@@ -89,7 +89,7 @@ def scene_task(settings: Settings, scene: SceneSettings, variant: str = "") -> S
         name, pipeline = method_task_name(scene.name, variant), answer_scene
         scoring = replace(scoring, method=variant, drawn=False)
     inputs = photographs(settings, scene), labels(scene)
-    arguments = *inputs, settings.built_by, settings.trust_cameras, scoring
+    arguments = *inputs, settings.field_method, settings.trust_cameras, scoring
     return SceneTask(name, pipeline, arguments)
 
 
@@ -166,7 +166,7 @@ def baseline_tasks(
             rules = Rules(**{**dict(scoring.rules), **row.rules})
             changed = replace(scoring, method=name, rules=rules, drawn=False)
             baseline = row.method, dict(row.settings), row.package_identity
-            arguments = dict(refs[scene.name]), settings.built_by, changed, *baseline
+            arguments = dict(refs[scene.name]), settings.field_method, changed, *baseline
             task_name = method_task_name(scene.name, name)
             scene_tasks.append(SceneTask(task_name, score_baseline, arguments, baselines.name))
     return scene_tasks

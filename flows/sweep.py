@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from flows.config import TABLES, MethodSettings, SceneSettings, Settings
+from flows.config import TABLES, Method, SceneSettings, Settings
 from flows.forms import layered, preset_values
 from flows.read_config import checked, refuse_idle
 from flows.runners.batches import Failure, SceneTask
@@ -127,10 +127,10 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
             changes = layered(changes, {**preset_values(value), PRESET: value})
         elif dot and table in TABLES:
             changes = layered(changes, {table: {**changes.get(table, {}), key: value}})
-        elif field in MethodSettings.model_fields:
+        elif field in Method.model_fields:
             changes[field] = value
         else:
-            valid = (VIEWS, PRESET, *MethodSettings.model_fields, *(f"{t}." for t in TABLES))
+            valid = (VIEWS, PRESET, *Method.model_fields, *(f"{t}." for t in TABLES))
             raise InputError(
                 f"sweep: found no setting {field!r}{did_you_mean(field, valid)}; expected one of "
                 f"the method's, as in a configuration file, or views or preset"
@@ -143,4 +143,4 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
 
 def _outcome(settings: Settings) -> tuple[Any, ...]:
     """Return all settings on which answers depend."""
-    return settings.size, repr(settings.identity), Rules.of(settings)
+    return settings.size, repr(settings.field_method.identity()), Rules.of(settings)

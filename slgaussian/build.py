@@ -13,7 +13,7 @@ import torch
 from slgaussian.cameras.check import PairCheck, check_pairs, refuse
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, measure
-from slgaussian.components.component import Component
+from slgaussian.components.config import ComponentConfig
 from slgaussian.components.method import Method
 from slgaussian.errors import check_type
 from slgaussian.field import SemanticField
@@ -125,7 +125,7 @@ def check_cameras(
 def predict(
     sample: Sample,
     graph: MatchGraph,
-    predictor: Component | GaussianPredictor,
+    predictor: ComponentConfig | GaussianPredictor,
     seed: int,
     trust_cameras: bool = False,
 ) -> Predicted:
@@ -137,7 +137,7 @@ def predict(
         InputError: As :func:`check_cameras` and as the predictor.
     """
     checks = check_cameras(sample, graph, trust_cameras)
-    loaded, depths = predictor.load() if isinstance(predictor, Component) else predictor, None
+    loaded, depths = predictor.load() if isinstance(predictor, ComponentConfig) else predictor, None
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()
     if isinstance(loaded, CountingPredictor):
@@ -172,8 +172,8 @@ def see_targets(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
 
 def label_views(
     geometry: SceneGeometry,
-    proposer: Component,
-    tracker: Component,
+    proposer: ComponentConfig,
+    tracker: ComponentConfig,
     replicas: int,
     votes: str = "views",
     targets: Sequence[SeenView] = (),
@@ -198,8 +198,8 @@ def build_memory_bank(
     sample: Sample,
     geometry: SceneGeometry,
     label_maps: LabelMaps,
-    encoder: Component,
-    codes: Component,
+    encoder: ComponentConfig,
+    codes: ComponentConfig,
     seed: int,
     entries: str = "groups",
 ) -> MemoryBank:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slgaussian.components.component import Component
+from slgaussian.components.registry import restore
 from slgaussian.edits import Edits
 from slgaussian.errors import InputError, SpecError, check_type
 from slgaussian.gaussians import Gaussians
@@ -162,8 +162,8 @@ class SemanticField:
             InputError: If one of its files is missing from ``places`` or has another content.
             SpecError: If its vectors have another dimension than those of the bank.
         """
-        component = Component.stored("encoder", self.settings, self.places)
-        for key, file in component.files.items():
+        component = restore("encoder", self.settings, self.places)
+        for key, file in component.known_files.items():
             place = file.place
             if not place or (os.path.isabs(place) and not os.path.exists(place)):
                 moved = f" and is no longer at {place}" if place else ""
@@ -484,7 +484,7 @@ class SemanticField:
         identity = encoder_identity(about.settings)
         loaded = replace(built, edits=Edits.read(path, identity, built.bank.ids))
         try:
-            if not Component.stored("encoder", about.settings).files:
+            if not restore("encoder", about.settings).known_files:
                 loaded.encoder  # noqa: B018  (checked at once if it needs no files)
         except (InputError, SpecError) as error:
             raise SpecError(f"{path}: {error}") from error

@@ -17,7 +17,7 @@ from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evalu
 from slgaussian.benchmark.reports.examples import Scene
 from slgaussian.benchmark.reports.run_report import run_report
 from slgaussian.benchmark.scores import GOOD_IOU
-from slgaussian.components.component import Component
+from slgaussian.components.config import ComponentConfig
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
@@ -47,7 +47,7 @@ def benchmark(
     gaussians: ArtifactRef,
     labels: ArtifactRef,
     field: ArtifactRef,
-    encoder: Component,
+    encoder: ComponentConfig,
     settings: EvaluationSettings,
 ) -> ArtifactRef:
     """Answer the queries by the field of a scene and score them: spec ``scene_result``.

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from slgaussian.build import label_views, predict, see_targets
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.components.component import Component
+from slgaussian.components.config import ComponentConfig
 from slgaussian.datasets.re10k import Clip
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
@@ -47,8 +47,8 @@ def all_masks(
     run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
-    proposer: Component,
-    tracker: Component,
+    proposer: ComponentConfig,
+    tracker: ComponentConfig,
     replicas: int,
     votes: str,
 ) -> ArtifactRef:
@@ -85,7 +85,7 @@ def predictions(
     pairs: ArtifactRef,
     chunk: KnownFile | ArtifactRef,
     framing: Framing,
-    predictor: Component,
+    predictor: ComponentConfig,
     seed: int,
     trust_cameras: bool = False,
 ) -> ArtifactRef:
@@ -136,8 +136,8 @@ def lessons(
     predictions: ArtifactRef,
     chunk: KnownFile | ArtifactRef,
     framing: Framing,
-    proposer: Component,
-    tracker: Component,
+    proposer: ComponentConfig,
+    tracker: ComponentConfig,
     replicas: int,
     votes: str,
 ) -> ArtifactRef:

@@ -19,7 +19,7 @@ from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.build import build_memory_bank, label_views, lift_field, predict
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality
-from slgaussian.components.component import Component
+from slgaussian.components.config import ComponentConfig
 from slgaussian.components.method import Method
 from slgaussian.copies import are_copies
 from slgaussian.errors import InputError
@@ -229,7 +229,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
 def geometry(
     run: RunContext,
     sample: ArtifactRef,
-    predictor: Component,
+    predictor: ComponentConfig,
     seed: int,
     trust_cameras: bool = False,
 ) -> ArtifactRef:
@@ -269,8 +269,8 @@ def masks(
     run: RunContext,
     sample: ArtifactRef,
     gaussians: ArtifactRef,
-    proposer: Component,
-    tracker: Component,
+    proposer: ComponentConfig,
+    tracker: ComponentConfig,
     replicas: int,
     votes: str,
 ) -> ArtifactRef:
@@ -290,8 +290,8 @@ def supervision(
     sample: ArtifactRef,
     gaussians: ArtifactRef,
     labels: ArtifactRef,
-    encoder: Component,
-    codes: Component,
+    encoder: ComponentConfig,
+    codes: ComponentConfig,
     seed: int,
     held: str,
 ) -> ArtifactRef:

@@ -23,8 +23,7 @@ from prefect import Task
 from prefect.cache_policies import NO_CACHE
 from prefect.utilities.annotations import quote
 
-from slgaussian.components.component import Component
-from slgaussian.components.config import Config
+from slgaussian.components.config import ComponentConfig, Config
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.kernels import compiling, threads
@@ -66,7 +65,7 @@ def canonical(value: Any, name: str = "value") -> Any:
         return {"spec": value.spec, "digest": value.digest}
     if isinstance(value, KnownFile):
         return value.digest
-    if isinstance(value, Component):
+    if isinstance(value, ComponentConfig):
         return {value.name: canonical(value.identity(), name)}
     if hasattr(value, "identity"):
         return canonical(value.identity(), name)
@@ -166,13 +165,13 @@ class Stage:
     ) -> StageResult:
         """Run as a Prefect task, with ``inputs`` for its graph."""
         run = current_run()
-        ref = self._computed(run, arguments)
+        ref = self._compute_with_costs(run, arguments)
         Records(run.store).keep(run.key, ref)
         if refresh:
             ref = replace(ref, meta={**ref.meta, "refreshed": True})
         return StageResult(ref)
 
-    def _computed(self, run: RunContext, arguments: Mapping[str, Any]) -> ArtifactRef:
+    def _compute_with_costs(self, run: RunContext, arguments: Mapping[str, Any]) -> ArtifactRef:
         inputs = {n: value for n, value in arguments.items() if isinstance(value, ArtifactRef)}
         settings = {n: canonical(value, n) for n, value in arguments.items() if n not in inputs}
         specs = {name: ref.spec for name, ref in inputs.items()}

@@ -87,7 +87,7 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     one object. So the field is built once, with the first seed, and the codes are replaced for the
     others; the bytes equal those of separate builds.
     """
-    method = Settings().built_by.model_copy(update={"seed": seeds[0]})
+    method = Settings().field_method.model_copy(update={"seed": seeds[0]})
     graph = MatchGraph.of(sample.context)
     predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras=True)
     gaussians, geometry, quality, depths = predicted

@@ -100,10 +100,12 @@ def field(
     precompile.begin()
     height, width = sample.context[0].image.shape[:2]
     views = f"{len(sample.context)} views of {width}x{height}"
-    names = ", ".join(component.name for component in settings.built_by.components)
+    names = ", ".join(component.name for component in settings.field_method.components)
     typer.echo(f"building a field from {views}{f' with {names}' if verbose else ''}", err=True)
     with warnings.catch_warnings(record=True) as caught:
-        built = build_field(sample, settings.built_by, settings.trust_cameras, seconds.__setitem__)
+        built = build_field(
+            sample, settings.field_method, settings.trust_cameras, seconds.__setitem__
+        )
     print_warnings([str(warning.message) for warning in caught], verbose)
     built.save(out, describe_photographs(places))
     quality = Quality(**built.settings["quality"])
@@ -216,7 +218,7 @@ def masks(
     settings = make_settings(options.settings_from(ctx), "masks")
     check_target(out, MASKS_FILE, "a folder of masks")  # before the work
     sample, _ = load_photographs(photos, cameras, settings)
-    components = [settings.part(kind) for kind in options.COMPONENTS]
+    components = [settings.configure(kind) for kind in options.COMPONENTS]
     method = Method(*components, **dict(BuildConfig.of(settings)))
     height, width = sample.context[0].image.shape[:2]
     views = f"{len(sample.context)} views of {width}x{height}"

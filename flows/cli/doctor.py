@@ -8,11 +8,11 @@ import platform
 import shutil
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -48,7 +48,7 @@ def doctor(
     slgaussian doctor --encoder clip --set clip.model=models/clip-vit-b-16
     slgaussian doctor --components
     """
-    from slgaussian.components.intact import check_component
+    from slgaussian.components.pretrained import check_component
     from slgaussian.components.registry import list_components
     from slgaussian.kernels import threads
 
@@ -61,27 +61,26 @@ def doctor(
         typer.echo(json.dumps(Settings.model_json_schema(), indent=1))
         return
     settings = make_settings(options.settings_from(ctx), "doctor")
-    opened, tables = list[Any](), settings.component_values()
     typer.echo(f"ok   {PACKAGE:<12} {__version__}, Python {platform.python_version()}")
-    checks: list[bool] = [
-        _passes("packages", _packages),
-        _passes("threads", lambda: f"{threads.cores()} cores"),
-        _passes("store", _store, settings.store, opened),
-        _passes("server", _server, *opened),
-        _passes("numerics", _numerics),
+    checks: list[tuple[str, Callable[[], str]]] = [
+        ("packages", _check_packages),
+        ("threads", lambda: f"{threads.cores()} cores"),
+        ("store", lambda: _check_store(settings.store)),
+        ("server", _check_server),
+        ("numerics", _check_numerics),
     ]
     if "runner" in settings.model_fields_set:
-        checks.append(_passes("runner", _runner, settings.runner))
-    for kind, name in settings.component_names().items():
-        checks.append(_passes(name, check_component, kind, name, tables.get(name, {})))
-    raise typer.Exit(0 if all(checks) else 1)
+        checks.append(("runner", lambda: _check_runner(settings.runner)))
+    checks += [(each.name, partial(check_component, each)) for each in settings.components]
+    passed = [_passes(name, check) for name, check in checks]
+    raise typer.Exit(0 if all(passed) else 1)
 
 
-def _passes(name: str, check: Callable[..., str], *arguments: Any) -> bool:
+def _passes(name: str, check: Callable[[], str]) -> bool:
     """Print what a check returns as ok, or why it fails as BAD; return whether it passes."""
     passes = False
     try:
-        message, passes = check(*arguments), True
+        message, passes = check(), True
     except SLGaussianError as error:
         message = str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ")
     except Exception as error:  # the other checks continue after any error
@@ -92,7 +91,7 @@ def _passes(name: str, check: Callable[..., str], *arguments: Any) -> bool:
     return passes
 
 
-def _packages() -> str:
+def _check_packages() -> str:
     """Compare the installed packages with the requirements in pyproject.toml."""
     needed, problems = requirements(), {}
     for needs in needed:
@@ -110,32 +109,27 @@ def _packages() -> str:
     return f"{len(needed)} as required: {', '.join(f'{n} {version(n)}' for n in SHOWN_PACKAGES)}"
 
 
-def _store(place: str, opened: list[Any]) -> str:
-    """Write to the store and remove folders created by that; add the store to ``opened``."""
+def _check_store(place: str) -> str:
+    """Write to the store, or if it does not exist yet, to the folder in which it would be made."""
     from slgaussian.storage.store import ArtifactStore
 
     store = ArtifactStore(place)
-    path = Path(store.path)
-    missing = [p for p in (path, *path.parents) if store.local and not p.exists()]
-    try:
-        store.check_writable()
-        free = shutil.disk_usage(path).free if store.local else MIN_FREE_BYTES
-    finally:
-        for folder in missing:
-            with suppress(OSError):  # it was not created
-                folder.rmdir()
-    opened.append(store)
+    folder = Path(store.path)
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    probe = ArtifactStore(str(existing)) if store.local and existing.is_dir() else store
+    probe.check_writable()
+    free = shutil.disk_usage(existing).free if store.local else MIN_FREE_BYTES
     if free < MIN_FREE_BYTES:
         advice = "make room (`slgaussian store gc`), or choose another --store"
         raise InputError(f"{store.root} has {free / 2**30:.1f} GiB free; {advice}")
     return f"{store.root} can be written"
 
 
-def _server(store: Any = None) -> str:
-    """Ask the server of ``PREFECT_API_URL``, or start and stop a local one."""
+def _check_server() -> str:
+    """Ask the server of ``PREFECT_API_URL``, or start and stop a local one in a temporary store."""
     import urllib.request
 
-    from flows.runners.environment import home_of, orchestration
+    from flows.runners.environment import orchestration
     from slgaussian.storage.remote import redacted
     from slgaussian.storage.store import ArtifactStore
 
@@ -148,17 +142,12 @@ def _server(store: Any = None) -> str:
                 f"PREFECT_API_URL {redacted(url)}: no Prefect server answers there ({error}); "
                 "start it with `prefect server start`, correct the variable, or unset it"
             ) from error
-    # The server would create a database in a store that has none.
-    begun = store is not None and store.local and home_of(store).exists()
-    with (
-        tempfile.TemporaryDirectory() as temporary,
-        orchestration(store if begun else ArtifactStore(temporary)) as ready,
-    ):
-        ready()
+    with tempfile.TemporaryDirectory() as folder, orchestration(ArtifactStore(folder)) as wait:
+        wait()
     return "Prefect's server starts and answers"
 
 
-def _numerics() -> str:
+def _check_numerics() -> str:
     """Compare the kernels with float64 on hard cases."""
     from slgaussian.benchmark.hard_cases import measure_hard_cases
 
@@ -173,7 +162,7 @@ def _numerics() -> str:
     return f"{len(cases)} hard cases are within their bounds of float64"
 
 
-def _runner(runner: str) -> str:
+def _check_runner(runner: str) -> str:
     from flows.runners.task_runners import check_runner
 
     check_runner(runner)

@@ -13,9 +13,10 @@ import numpy as np
 import typer
 
 from flows.cli.options import settings_from
-from flows.config import RULES, TABLES, Method, Settings, table_of
+from flows.config import RULES, Method, Settings
 from flows.read_config import checked
 from slgaussian import precompile
+from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
@@ -48,7 +49,7 @@ def open_field(
     encoder = field.settings["encoder"]
     places = fields[encoder] if encoder in values else {}
     fixed = values.keys() - (RULES if rules else set()) - {encoder, "preset"}
-    fixed |= {f"{encoder}.{k}" for k in places if k not in TABLES[table_of(encoder)].files()}
+    fixed |= {f"{encoder}.{k}" for k in places if k not in find_config("encoder", encoder).files()}
     if fixed:
         raise InputError(
             f"{folder}: {min(fixed)} cannot be changed after the field was built with encoder "

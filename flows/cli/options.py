@@ -39,7 +39,7 @@ def configured(
             command(**{name: values[name] for name in signature.parameters})
 
         added = {
-            name: Annotated[_type_of(name, model), field_option(name, model)] for name in names
+            name: Annotated[_find_type(name, model), field_option(name, model)] for name in names
         }
         fields = [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=option)
@@ -64,7 +64,7 @@ def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
     )
 
 
-def _type_of(name: str, model: type[BaseModel]) -> Any:
+def _find_type(name: str, model: type[BaseModel]) -> Any:
     """Return the type that the command line parses; the model validates the rest."""
     annotation = model.model_fields[name].annotation
     types = (bool, int, float, Path, list[str])

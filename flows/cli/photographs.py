@@ -48,7 +48,7 @@ def load_photographs(
         InputError: If an argument cannot be used.
     """
     if cameras is None and settings.predictor == "precomputed":
-        cameras = _cameras_of(settings.precomputed.geometry)
+        cameras = _cameras_of(dict(settings.configure("predictor"))["geometry"])
     if cameras is None:
         files = unposed.named(photos)
         if keyframes is not None:

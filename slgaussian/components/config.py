@@ -6,7 +6,9 @@ a config. The modules of configs must not import large packages.
 
 from __future__ import annotations
 
+import inspect
 import pkgutil
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args
@@ -14,7 +16,7 @@ from typing import Any, ClassVar, Self, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.io import Digest
+from slgaussian.io import CHANGED_FILE, Digest, KnownFile
 
 
 @dataclass(frozen=True)
@@ -51,15 +53,31 @@ class Config(BaseModel):
 
 
 class ComponentConfig(Config):
-    """Base class of component configs. Class keyword ``title``: the component, for messages.
+    """Base class of component configs: the fields that users set; loads the component.
+
+    Class keyword ``title``: the name, by default that of the class in lower case. Fields for files
+    are locations, or :class:`slgaussian.io.KnownFile` after :meth:`pin`.
 
     Attributes:
+        kind: One of :data:`slgaussian.components.registry.KINDS`; empty for a class that was not
+            found there.
+        name: Name of the component.
+        table: Name of the table of its fields in configurations: the name without hyphens.
         target: str or callable, optional. The implementation, an object or
             ``"package.module:name"``, which is called with the fields as keyword arguments. A
             subclass without a target implements the component itself.
     """
 
+    kind: ClassVar[str] = ""
+    name: ClassVar[str] = ""
+    table: ClassVar[str] = ""
     target: ClassVar[str | Callable[..., Any] | None] = None
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **keywords: Any) -> None:
+        """Name the component."""
+        cls.name = cls.model_config.get("title") or cls.__name__.lower()
+        cls.table = cls.name.replace("-", "_")
 
     @classmethod
     def files(cls) -> dict[str, File]:
@@ -82,12 +100,71 @@ class ComponentConfig(Config):
         target = cls.target or cls
         return pkgutil.resolve_name(target) if isinstance(target, str) else target
 
-    def load(self) -> Any:
-        """Load the component; raises as its implementation."""
-        return self if self.target is None else self.implementation()(**dict(self))
+    @classmethod
+    def describe(cls) -> list[str]:
+        """Return the first sentence of the docstring, and a list of the fields, as Markdown."""
+        text = re.sub(r":\w+:`[~\w.]*?(\w+)`", r"\1", inspect.getdoc(cls) or "")
+        sentence = text.partition("\n\n")[0].replace("\n", " ").replace("``", "`").split(". ")[0]
+        fields = []
+        for name, field in cls.model_fields.items():
+            default = "" if field.default is None else f"; default `{field.default}`"
+            fields.append(f"- `{name}`: {describe_values(cls, name)}{default}. {field.description}")
+        return [f"{sentence.rstrip('.')}.", *(["\n".join(fields)] if fields else [])]
+
+    def pin(self) -> Self:
+        """Return the config with the current digests of its files, which :meth:`load` then checks.
+
+        Raises:
+            InputError: If a file cannot be read.
+        """
+        known = {}
+        for key, file in self.files().items():
+            place = getattr(self, key)
+            if place is None or isinstance(place, KnownFile):
+                continue
+            try:
+                known[key] = KnownFile.at(place, file.digest)
+            except (OSError, InputError) as error:
+                self.load()  # its error message is more specific
+                raise InputError(f"{self.name} {key} {place}: {error}") from error
+        return self.model_copy(update=known) if known else self
+
+    @property
+    def known_files(self) -> dict[str, KnownFile]:
+        """The files, folders and models among its fields, after :meth:`pin`."""
+        return {key: value for key, value in self if isinstance(value, KnownFile)}
+
+    def identity(self) -> dict[str, Any]:
+        """Return the fields for artifacts and cache keys: plain data, files by digest.
+
+        Raises:
+            InputError: As :meth:`pin`.
+        """
+        pinned = self.pin()
+        return {**dict(pinned), **{key: file.digest for key, file in pinned.known_files.items()}}
+
+    def places(self) -> dict[str, str]:
+        """Return the locations of its files, by field; raises as :meth:`pin`."""
+        return {key: file.place for key, file in self.pin().known_files.items() if file.place}
+
+    def values(self, otherwise: str = CHANGED_FILE) -> dict[str, Any]:
+        """Return the fields, with files as places; InputError as in :meth:`load`."""
+        marks, files = self.files(), self.known_files
+        places = {k: file.checked(k, marks[k].digest, otherwise) for k, file in files.items()}
+        return {**dict(self), **places}
+
+    def load(self, otherwise: str = CHANGED_FILE) -> Any:
+        """Load the component; one that implements itself and is loaded already returns itself.
+
+        Raises:
+            InputError: If the content of a pinned file has changed, with message ``otherwise``; or
+                by the component.
+        """
+        target, values = self.implementation(), self.values(otherwise)
+        return self if type(self) is target and values == dict(self) else target(**values)
 
 
-def expected(config: type[BaseModel], name: str) -> str:
+def describe_values(config: type[BaseModel], name: str) -> str:
     """Describe the values that a field accepts: ``"a whole number from 1 to 3 or 'auto'"``."""
     options = _options(config, name)
     is_place = any(option.get("format") == "path" for option in options)
@@ -127,7 +204,7 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     is_config = issubclass(model, Config)
     title = model.model_config.get("title") or ""
     if issubclass(model, ComponentConfig):
-        title = title or model.__name__.lower()
+        title = model.name
     loc = list(first["loc"])
     if is_config:  # texts after the first part are names of the members of a union
         loc = loc[:1] + [part for part in loc[1:] if isinstance(part, int)]
@@ -149,4 +226,4 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         message = str(cause or first["msg"])
         return f"{value}; {message[0].lower()}{message[1:]}"
     choices = [choice for option in _options(model, key) for choice in option.get("enum", ())]
-    return f"{value}, expected {expected(model, key)}{did_you_mean(first['input'], choices)}"
+    return f"{value}, expected {describe_values(model, key)}{did_you_mean(first['input'], choices)}"

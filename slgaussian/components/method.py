@@ -8,9 +8,8 @@ from typing import Any, Literal
 from pydantic import Field, InstanceOf
 from pydantic.json_schema import SkipJsonSchema
 
-from slgaussian.components.component import Component
-from slgaussian.components.config import Config
-from slgaussian.components.registry import KINDS
+from slgaussian.components.config import ComponentConfig, Config
+from slgaussian.components.registry import KINDS, configure
 from slgaussian.errors import InputError
 
 
@@ -39,8 +38,8 @@ class BuildConfig(Config):
     )
 
 
-Chosen = SkipJsonSchema[InstanceOf[Component]]
-"""A configured component; JSON schemas leave it out."""
+Chosen = SkipJsonSchema[InstanceOf[ComponentConfig]]
+"""Config of a component; JSON schemas leave it out."""
 
 
 class Method(BuildConfig):
@@ -48,7 +47,7 @@ class Method(BuildConfig):
 
     Args:
         predictor, proposer, tracker, encoder, codes, lifting: The component of each kind: its name,
-            or a configured component.
+            or its config.
         settings: Fields of components that are given by name, by this name: ``{"mvsplat":
             {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
         **build: Fields of :class:`BuildConfig`. The same seed gives the same bytes, independent of
@@ -67,33 +66,29 @@ class Method(BuildConfig):
 
     def __init__(
         self,
-        predictor: str | Component = KINDS["predictor"].default,
-        proposer: str | Component = KINDS["proposer"].default,
-        tracker: str | Component = KINDS["tracker"].default,
-        encoder: str | Component = KINDS["encoder"].default,
-        codes: str | Component = KINDS["codes"].default,
-        lifting: str | Component = KINDS["lifting"].default,
+        predictor: str | ComponentConfig = KINDS["predictor"].default,
+        proposer: str | ComponentConfig = KINDS["proposer"].default,
+        tracker: str | ComponentConfig = KINDS["tracker"].default,
+        encoder: str | ComponentConfig = KINDS["encoder"].default,
+        codes: str | ComponentConfig = KINDS["codes"].default,
+        lifting: str | ComponentConfig = KINDS["lifting"].default,
         settings: Mapping[str, Mapping[str, Any]] | None = None,
         **build: Any,
     ) -> None:
-        chosen = (predictor, proposer, tracker, encoder, codes, lifting)
-        fields, components = dict(settings or {}), dict[str, Component]()
-        for name in fields:
-            if name not in [choice for choice in chosen if isinstance(choice, str)]:
-                names = (choice if isinstance(choice, str) else choice.name for choice in chosen)
+        choices = predictor, proposer, tracker, encoder, codes, lifting
+        for name in settings or {}:
+            if not any(name == choice for choice in choices):
+                names = ", ".join(repr(getattr(c, "name", c)) for c in choices)
                 raise InputError(
                     f"settings: found some of {name!r}, expected only those of the predictor, "
-                    "proposer, tracker, encoder, codes and lifting, which are "
-                    f"{', '.join(map(repr, names))}"
+                    f"proposer, tracker, encoder, codes and lifting, which are {names}"
                 )
-        for kind, choice in zip(KINDS, chosen, strict=True):
-            if isinstance(choice, str):
-                choice = Component.of(kind, choice, fields.get(choice))
-            components[kind] = choice
-        super().__init__(**components, **build)
+        for kind, choice in zip(KINDS, choices, strict=True):
+            build[kind] = configure(kind, choice, settings).pin()
+        super().__init__(**build)
 
     @property
-    def components(self) -> tuple[Component, ...]:
+    def components(self) -> tuple[ComponentConfig, ...]:
         """The components, in the order in which they are used."""
         return tuple(getattr(self, kind) for kind in KINDS)
 
@@ -104,8 +99,9 @@ class Method(BuildConfig):
         each component by its name, files by digest.
         """
         named = {component.kind: component.name for component in self.components}
-        tables = {each.name: each.identity() for each in self.components if each.settings}
-        return {**named, **dict(BuildConfig.of(self)), **tables}
+        tables = {component.name: component.identity() for component in self.components}
+        used = {name: fields for name, fields in tables.items() if fields}
+        return {**named, **dict(BuildConfig.of(self)), **used}
 
     def check(self) -> None:
         """Load every component once, to detect errors before the work.

@@ -11,16 +11,18 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from slgaussian.components.config import ComponentConfig
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 from slgaussian.formats import strict_json
-from slgaussian.io import file_digest
+from slgaussian.io import file_digest, file_sha256
 
 CONFIG, WEIGHTS, INDEX = "config.json", "model.safetensors", "model.safetensors.index.json"
 OPEN_CLIP_CONFIG = "open_clip_config.json"
@@ -43,14 +45,14 @@ class Family:
     """The models that a component supports.
 
     Attributes:
-        part: Name of the component, for messages.
+        component: Its name, for messages.
         class_name: Class of ``transformers`` to load.
         types: tuple of str. Supported values of ``model_type`` in ``config.json``.
         example: A name on the hub.
         convert: Converts a checkpoint of open_clip to the network, if the component supports that.
     """
 
-    part: str
+    component: str
     class_name: str
     types: tuple[str, ...]
     example: str
@@ -72,47 +74,47 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
             architecture, its files are damaged, tensors are missing or have other shapes, or the
             device cannot be used.
     """
-    part = family.part
+    component = family.component
     try:
         import transformers  # noqa: F401
     except ImportError as problem:  # missing, or broken by another package
         raise InputError(
-            f"{part}: needs the package transformers ({problem}); "
+            f"{component}: needs the package transformers ({problem}); "
             f"install it with {install_line('models')}"
         ) from None
     if model is None:
         raise InputError(
-            f"{part} model: none given; give a folder, or a name on the hub as in "
-            f"--set {part.replace('-', '_')}.model={family.example}"
+            f"{component} model: none given; give a folder, or a name on the hub as in "
+            f"--set {component.replace('-', '_')}.model={family.example}"
         )
     model_files = find_model(model)
     if model_files.checkpoint is None:
         kind = read_json(model_files.folder / CONFIG).get("model_type")
         if kind not in family.types:
             raise InputError(
-                f"model {model_files.folder}: is of type {kind!r}, but {part} needs "
+                f"model {model_files.folder}: is of type {kind!r}, but {component} needs "
                 f"{' or '.join(map(repr, family.types))}, such as {family.example}"
             )
     elif family.convert is None:
         raise InputError(
-            f"model {model}: is a file, or of open_clip; {part} expected a folder with {CONFIG} "
-            f"and {WEIGHTS}, or a name on the hub, such as {family.example}"
+            f"model {model}: is a file, or of open_clip; {component} expected a folder with "
+            f"{CONFIG} and {WEIGHTS}, or a name on the hub, such as {family.example}"
         )
-    return _loaded(model_files, model_digest(model), family, resolve_device(device))
+    return _load(model_files, model_digest(model), family, resolve_device(device))
 
 
 @lru_cache(maxsize=4)
-def _loaded(model_files: ModelFiles, digest: str, family: Family, device: str) -> Any:
+def _load(model_files: ModelFiles, digest: str, family: Family, device: str) -> Any:
     """Load the model of :func:`load_pretrained`; cached, as all scenes of a run use the same."""
     if model_files.checkpoint is None or family.convert is None:
-        loaded = _load_folder(model_files.folder, family)
+        network = _load_folder(model_files.folder, family)
     else:
-        loaded = family.convert(model_files)
+        network = family.convert(model_files)
     try:
-        return loaded.eval().requires_grad_(False).to(device)
+        return network.eval().requires_grad_(False).to(device)
     except (RuntimeError, AssertionError) as problem:
-        reason = str(problem).splitlines()[0]
-        raise InputError(f"{family.part} device {device!r}: cannot be used ({reason})") from None
+        reason = f"cannot be used ({str(problem).splitlines()[0]})"
+        raise InputError(f"{family.component} device {device!r}: {reason}") from None
 
 
 def load_tokenizer(place: str | Path, class_name: str) -> Any:
@@ -123,7 +125,7 @@ def load_tokenizer(place: str | Path, class_name: str) -> Any:
     """
     import transformers
 
-    folder = find_tokenizer(place)
+    folder = find_tokenizer(place)[0].parent
     try:
         with quiet_transformers():
             return getattr(transformers, class_name).from_pretrained(folder, local_files_only=True)
@@ -195,43 +197,36 @@ def find_model(model: str | Path, download: bool = True) -> ModelFiles:
         InputError: If there is no such folder, file or name, the hub cannot be reached, or the
             folder contains no model; without ``download``, also if the cache does not hold it.
     """
-    path = Path(model)
-    if path.is_dir():
-        return _files_of_model(path)
-    if path.is_file():
-        return _checkpoint(path)
-    config_files = [CONFIG, OPEN_CLIP_CONFIG, PREPROCESSOR, *TOKENIZER]
+    if Path(model).is_file():
+        return _checkpoint(Path(model))
+    configs = [CONFIG, OPEN_CLIP_CONFIG, PREPROCESSOR, *TOKENIZER]
     formats = [[WEIGHTS, INDEX, "model-*.safetensors"], *([name] for name in OPEN_CLIP_WEIGHTS)]
-    patterns = [config_files + weights for weights in formats] if download else []
-    return _files_of_model(
-        _from_hub("model", model, patterns, f"one with {CONFIG} and {WEIGHTS}", _files_of_model)
-    )
+    patterns = [configs + weights for weights in formats] if download else []
+    return _find("model", model, _files_of_model, f"one with {CONFIG} and {WEIGHTS}", patterns)
 
 
-def find_tokenizer(place: str | Path, download: bool = True) -> Path:
-    """Find the folder of a tokenizer, given as a folder or name on the hub.
+def find_tokenizer(place: str | Path, download: bool = True) -> list[Path]:
+    """Find the files of a tokenizer, given as a folder or name on the hub.
 
     Raises:
         InputError: If its files are missing, or the hub cannot be reached; as :func:`find_model`.
     """
-    folder = Path(place)
-    if folder.is_dir():
-        _tokenizer_files(folder)
-        return folder
     expected = "one with tokenizer.json, or vocab.json and merges.txt"
     patterns = [list(TOKENIZER)] if download else []
-    return _from_hub("tokenizer", place, patterns, expected, _tokenizer_files)
+    return _find("tokenizer", place, _files_of_tokenizer, expected, patterns)
 
 
-def _from_hub(
+def _find(
     kind: str,
-    name: str | Path,
-    wanted: Sequence[list[str]],
+    place: str | Path,
+    read: Callable[[Path], Any],
     expected: str,
-    check: Callable[[Path], object],
-) -> Path:
-    """Return the hub's cached folder of a name, downloading the first of ``wanted`` that passes."""
-    name = str(name)
+    patterns: Sequence[list[str]],
+) -> Any:
+    """Read a folder, or that of a name in the hub's cache; else download by one of ``patterns``."""
+    if Path(place).is_dir():
+        return read(Path(place))
+    name = str(place)
     if name.count("/") != 1 or name.startswith((".", "~", "/")):
         raise InputError(
             f"{kind} {name}: there is no such folder; expected {expected}, or a name on the hub, "
@@ -244,17 +239,12 @@ def _from_hub(
             f"{kind} {name}: is no folder here, and the hub needs the package huggingface_hub "
             f"({problem}); install it with {install_line('models')}"
         ) from None
-
-    with contextlib.suppress(OSError, ValueError, InputError):
-        cached = Path(snapshot_download(name, local_files_only=True))
-        check(cached)
-        return cached
+    with contextlib.suppress(OSError, ValueError):
+        return read(Path(snapshot_download(name, local_files_only=True)))
     reason = "download it once"
-    for patterns in wanted:
+    for files in patterns:
         try:
-            folder = Path(snapshot_download(name, allow_patterns=patterns))
-            check(folder)
-            return folder
+            return read(Path(snapshot_download(name, allow_patterns=files)))
         except (OSError, ValueError) as error:
             reason = _reason(error)
     raise InputError(
@@ -283,7 +273,50 @@ def tokenizer_digest(place: str | Path) -> str:
 
     Other files in the folder have no effect.
     """
-    return _digest({file.name: file for file in _tokenizer_files(find_tokenizer(place))})
+    return _digest({file.name: file for file in find_tokenizer(place)})
+
+
+def check_component(component: ComponentConfig) -> str:
+    """Check the files of a component, and return a sentence about them; empty without files.
+
+    Nothing is downloaded. Weights in the hub's cache are compared with the hub's digests. Models
+    are loaded, which checks their configuration and the names and shapes of tensors; their weights
+    must be finite. InputError if a file is missing, damaged, or not what the component needs.
+    """
+    verified, places = list[bool](), list[str]()
+    for key, file in component.files().items():
+        if (place := getattr(component, key)) is None:
+            continue
+        places.append(f"{key} {place}")
+        if file.digest is model_digest:
+            weights = find_model(place, download=False).files
+            verified += [is_of_hub(each) for each in weights if each.suffix != ".json"]
+        elif file.digest is tokenizer_digest:
+            find_tokenizer(place, download=False)
+    network, label = getattr(component.pin().load(), "network", None), ", ".join(places)
+    for name, tensor in () if network is None else network.named_parameters():
+        if not tensor.isfinite().all():
+            raise InputError(f"{label}: {name} holds NaN or infinity; get it again")
+    of_hub = verified and all(verified)
+    verdict = "is what the hub has, by its SHA-256" if of_hub else "can be loaded"
+    return f"{label}: {verdict}" if label else ""
+
+
+def is_of_hub(file: Path) -> bool:
+    """Return whether a file is in the hub's cache; InputError if it has not the cached SHA-256."""
+    stored = file.resolve()
+    if not re.fullmatch("[0-9a-f]{64}", stored.name):
+        return False
+    try:
+        digest = file_sha256(file)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); get it again") from error
+    if stored.name != digest:
+        raise InputError(
+            f"{file}: is damaged: its SHA-256 begins with {digest[:8]}, and of the file on the hub "
+            f"with {stored.name[:8]}; delete {stored} and get it again"
+        )
+    return True
 
 
 def _digest(files: Mapping[str, Path]) -> str:
@@ -293,7 +326,7 @@ def _digest(files: Mapping[str, Path]) -> str:
     return digest.hexdigest()
 
 
-def _tokenizer_files(folder: Path) -> list[Path]:
+def _files_of_tokenizer(folder: Path) -> list[Path]:
     files = [folder / name for name in TOKENIZER if (folder / name).is_file()]
     names = {file.name for file in files}
     if not names & {"tokenizer.json", "vocab.txt"} and not names >= {"vocab.json", "merges.txt"}:

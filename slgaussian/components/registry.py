@@ -6,8 +6,6 @@ Built-in components are listed in tables, those of other packages are entry poin
 from __future__ import annotations
 
 import hashlib
-import inspect
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -15,11 +13,11 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from slgaussian.components.config import ComponentConfig, expected
+from slgaussian.components.config import ComponentConfig
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.io import file_sha256
+from slgaussian.io import KnownFile, file_sha256
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class Kind:
     """A kind of component.
 
     Attributes:
-        package: Subpackage of ``slgaussian`` with the table of built-in components.
+        package: Subpackage of ``slgaussian``; its ``configs`` has the table of built-in components.
         plural: Name of the table (in capitals) and of the group of entry points.
         default: Name of the default component.
         help: Task of the component, for users.
@@ -41,7 +39,7 @@ class Kind:
     @property
     def table(self) -> Mapping[str, str]:
         """Built-in components: ``"package.module:attribute"`` by name."""
-        return getattr(import_module(f"slgaussian.{self.package}"), self.plural.upper())
+        return getattr(import_module(f"slgaussian.{self.package}.configs"), self.plural.upper())
 
     @property
     def group(self) -> str:
@@ -65,16 +63,17 @@ KINDS = {
 """The kinds of components of the method, in the order in which they are used."""
 
 
-def names_of(kind: str) -> tuple[str, ...]:
+def list_names(kind: str) -> tuple[str, ...]:
     """Return the names of the components of one of :data:`KINDS` without importing them."""
     return tuple({**KINDS[kind].table, **plugins(KINDS[kind].group)})
 
 
+@cache
 def find_config(kind: str, name: str) -> type[ComponentConfig]:
-    """Return the config class of a component.
+    """Return the config class of a component, which knows its kind and name.
 
-    A registered class or function that is not a config becomes the target of a config without
-    fields.
+    It is a subclass of the registered class. Another class or function than a config becomes the
+    target of a config without fields.
 
     Raises:
         InputError: As in :func:`resolve`, or if a component of another package has the name of a
@@ -88,14 +87,72 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
             "point renamed"
         )
     registered = resolve(kind, KINDS[kind].table, name, group)
-    if isinstance(registered, type) and issubclass(registered, ComponentConfig):
-        return registered
+    is_config = isinstance(registered, type) and issubclass(registered, ComponentConfig)
+    base = registered if is_config else ComponentConfig
+    content = {
+        "__doc__": registered.__doc__,
+        "__module__": registered.__module__,
+        "__reduce__": _reduce,
+        "kind": kind,
+        "target": base.target or registered,
+    }
+    metaclass: Any = type(base)
+    return metaclass(registered.__name__, (base,), content, title=name)
 
-    class Plain(ComponentConfig, title=name):
-        __doc__ = registered.__doc__
-        target: ClassVar[Any] = registered
 
-    return Plain
+def _reduce(component: ComponentConfig) -> tuple[Any, ...]:
+    """Reduce a config for pickle to kind and name, as its class is in no module, and its state."""
+    return _make_blank, (component.kind, component.name), component.__getstate__()
+
+
+def _make_blank(kind: str, name: str) -> ComponentConfig:
+    config = find_config(kind, name)
+    return config.__new__(config)
+
+
+def configure(
+    kind: str,
+    component: str | ComponentConfig,
+    tables: Mapping[str, Mapping[str, Any]] | None = None,
+) -> ComponentConfig:
+    """Return the config of a component that is given by name or by a config.
+
+    Args:
+        tables: {name: {field: value}}, optional. The fields of one that is given by name.
+
+    Raises:
+        InputError: As :func:`find_config`, or if a field is unknown or a value is invalid.
+    """
+    if not isinstance(component, ComponentConfig):
+        return find_config(kind, component)(**(tables or {}).get(component, {}))
+    config = find_config(kind, component.name)
+    return component if isinstance(component, config) else config(**dict(component))
+
+
+def restore(
+    kind: str, identity: Mapping[str, Any], places: Mapping[str, str] | None = None
+) -> ComponentConfig:
+    """Return the config of a kind from the identity in an artifact or cache key, unvalidated.
+
+    Args:
+        identity: Identity of a method (:meth:`slgaussian.components.method.Method.identity`),
+            or of some of its components: ``{"encoder": "clip", "clip": {"model": digest}}``.
+        places: {field: place}, optional. Locations of its files. The content of a file without
+            a stored digest is not checked.
+
+    Raises:
+        InputError: If the component or a field is unknown.
+    """
+    config, places = find_config(kind, identity[kind]), places or {}
+    # Fields that were removed from the config and had no value had no effect.
+    stored = identity.get(config.name, {}).items()
+    fields = {key: v for key, v in stored if v is not None or key in config.model_fields}
+    if unknown := {**fields, **places}.keys() - config.model_fields.keys():
+        config(**dict.fromkeys(unknown))  # raises InputError
+    for key in config.files():
+        if places.get(key) or fields.get(key):
+            fields[key] = KnownFile(str(places.get(key) or ""), fields.get(key))
+    return config.model_construct(**fields)
 
 
 def load_component(kind: str, name: str, values: Mapping[str, Any]) -> Any:
@@ -170,25 +227,10 @@ def list_components() -> str:
     text = []
     for kind, group in KINDS.items():
         text.append(f"## {kind.capitalize()}\n\n{group.help}")
-        for name in names_of(kind):
-            default = " (default)" if name == group.default else ""
-            text.append(f"### {name}{default}")
+        for name in list_names(kind):
+            text.append(f"### {name}{' (default)' if name == group.default else ''}")
             try:
-                config = find_config(kind, name)
+                text += find_config(kind, name).describe()
             except InputError as error:
                 text.append(str(error))
-                continue
-            text.append(_first_sentence(config))
-            fields = []
-            for key, field in config.model_fields.items():
-                default = "" if field.default is None else f"; default `{field.default}`"
-                fields.append(f"- `{key}`: {expected(config, key)}{default}. {field.description}")
-            text += ["\n".join(fields)] if fields else []
     return "\n\n".join(text) + "\n"
-
-
-def _first_sentence(config: type[ComponentConfig]) -> str:
-    """Return the first sentence of a docstring, without markup."""
-    first = (inspect.getdoc(config) or "").split("\n\n")[0].replace("\n", " ")
-    plain = re.sub(r":\w+:`[~\w.]*?(\w+)`", r"\1", first).replace("``", "`")
-    return plain.split(". ")[0].rstrip(".") + "."

@@ -18,15 +18,6 @@ if TYPE_CHECKING:  # listing the components must not import torch
     from slgaussian.language.vocabulary import Vocabulary
     from slgaussian.language.wholes import Ranking
 
-ENCODERS = {
-    "lexicon": "slgaussian.language.configs:LexiconConfig",
-    "clip": "slgaussian.language.configs:ClipConfig",
-}
-CODES = {
-    "grid": "slgaussian.language.configs:GridConfig",
-    "separated": "slgaussian.language.configs:SeparatedConfig",
-}
-
 COMMON_OBJECTS = (
     "floor", "wall", "table", "chair", "sofa", "door", "window", "plant", "box", "book",
 )  # fmt: skip

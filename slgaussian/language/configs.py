@@ -11,6 +11,15 @@ from pydantic import Field, field_validator
 from slgaussian.components.config import ComponentConfig, File
 from slgaussian.components.pretrained import model_digest, tokenizer_digest
 
+ENCODERS = {
+    "lexicon": "slgaussian.language.configs:LexiconConfig",
+    "clip": "slgaussian.language.configs:ClipConfig",
+}
+CODES = {
+    "grid": "slgaussian.language.configs:GridConfig",
+    "separated": "slgaussian.language.configs:SeparatedConfig",
+}
+
 CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """The model of LangSplat and the paper."""
 

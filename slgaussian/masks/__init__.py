@@ -13,17 +13,6 @@ if TYPE_CHECKING:  # names of components are read where torch is not imported
 
     from slgaussian.geometry import SeenView
 
-PROPOSERS = {
-    "regions": "slgaussian.masks.regions:Regions",
-    "sam": "slgaussian.masks.configs:SamConfig",
-    "sam2": "slgaussian.masks.configs:Sam2Config",
-}
-TRACKERS = {
-    "geometric": "slgaussian.masks.geometric:GeometricTracker",
-    "sam2-video": "slgaussian.masks.configs:Sam2VideoConfig",
-    "precomputed": "slgaussian.masks.configs:PrecomputedConfig",
-}
-
 
 @dataclass(frozen=True, eq=False)
 class Proposals:

@@ -12,7 +12,7 @@ from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskProposer, MaskTracker
 from slgaussian.masks.consensus import vote_on_objects
-from slgaussian.masks.flatten import CRUMB_SHARE, flatten, nearest_pixel, renumbered, without_crumbs
+from slgaussian.masks.flatten import CRUMB_SHARE, flatten, nearest_pixel, renumber, without_crumbs
 
 SAME_IOU = 0.5
 """IoU with a propagated object above which a detection is that object."""
@@ -84,7 +84,7 @@ def associate(
         labels, margin = vote(copies, times)
         winners.append(labels)
         margins.append(margin)
-    labels = renumbered(np.stack(winners))
+    labels = renumber(np.stack(winners))
     if not all_copies and all(frame.depth is not None for frame in frames):
         labels = vote_on_objects(frames, labels, np.stack(detections))
     return LabelMaps(labels, np.stack(margins), computed)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
 import numpy as np
@@ -23,6 +23,7 @@ from slgaussian.masks.configs import LEVELS, PRESETS, Automatic, AutomaticConfig
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
+    from slgaussian.masks.sam import SamImage
 
 STABILITY_OFFSET = 1.0
 """Offset of the logit thresholds above and below 0 that define the stability of a mask."""
@@ -34,21 +35,8 @@ MAX_MASKS = 32
 """Largest number of masks that are processed at a time, as intermediate results may be larger."""
 
 
-class PromptedImage(Protocol):
-    """An encoded image that can be prompted repeatedly."""
-
-    def segment(self, points: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return mask logits float32 [P, L, h, w] at each point and their predicted IoU [P, L].
-
-        ``points`` float64 [P, 2] are x and y in pixels of the image.
-        """
-
-    def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
-        """Resize logits [M, h, w] to the size of the image, float32 [M, H, W]."""
-
-
 def all_masks(
-    encode: Callable[[np.ndarray], PromptedImage],
+    encode: Callable[[np.ndarray], SamImage],
     image: np.ndarray,
     settings: Automatic,
     region: np.ndarray | None = None,
@@ -88,7 +76,7 @@ def all_masks(
 
 
 def _mask_prompts(
-    prompted: PromptedImage,
+    prompted: SamImage,
     points: np.ndarray,
     size: tuple[int, int],
     settings: Automatic,
@@ -140,7 +128,7 @@ class AutomaticProposer(AutomaticConfig, ABC):
 
     device: str = "auto"
     _network: Any = PrivateAttr()
-    _encoded: tuple[Any, PromptedImage] | None = PrivateAttr(None)
+    _encoded: tuple[Any, SamImage] | None = PrivateAttr(None)
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
@@ -152,7 +140,7 @@ class AutomaticProposer(AutomaticConfig, ABC):
         return self._network
 
     @abstractmethod
-    def encode(self, image: np.ndarray) -> PromptedImage:
+    def encode(self, image: np.ndarray) -> SamImage:
         """Encode an image uint8 [H, W, 3] for prompts."""
 
     def propose(self, frame: SeenView, region: np.ndarray | None = None) -> Proposals:
@@ -168,7 +156,7 @@ class AutomaticProposer(AutomaticConfig, ABC):
         with torch.inference_mode(), inside(self.network):
             return all_masks(self._encode_once, frame.image, settings, region, levels, self.batch)
 
-    def _encode_once(self, image: np.ndarray) -> PromptedImage:
+    def _encode_once(self, image: np.ndarray) -> SamImage:
         content = image.shape, image.tobytes()
         if self._encoded is None or self._encoded[0] != content:
             self._encoded = None

@@ -15,6 +15,17 @@ from slgaussian.components.config import ComponentConfig, File
 from slgaussian.components.pretrained import model_digest
 from slgaussian.io import file_digest
 
+PROPOSERS = {
+    "regions": "slgaussian.masks.configs:RegionsConfig",
+    "sam": "slgaussian.masks.configs:SamConfig",
+    "sam2": "slgaussian.masks.configs:Sam2Config",
+}
+TRACKERS = {
+    "geometric": "slgaussian.masks.configs:GeometricConfig",
+    "sam2-video": "slgaussian.masks.configs:Sam2VideoConfig",
+    "precomputed": "slgaussian.masks.configs:PrecomputedConfig",
+}
+
 MODEL = "Pretrained model: folder, or name on the Hugging Face hub."
 
 Level = Literal["s", "m", "l"]
@@ -61,6 +72,12 @@ PRESETS: dict[Program, Automatic] = {
 a program is not known to change are those of SAM."""
 
 
+class RegionsConfig(ComponentConfig, title="regions"):
+    """Object-like regions of an image: watershed leaves, merged into a tree, cut at one height."""
+
+    target = "slgaussian.masks.regions:Regions"
+
+
 class AutomaticConfig(ComponentConfig):
     """Config of a proposer that prompts a pretrained model with a grid of points."""
 
@@ -87,6 +104,12 @@ class Sam2Config(AutomaticConfig, title="sam2"):
     """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``."""
 
     target: ClassVar[str] = "slgaussian.masks.sam:Sam2"
+
+
+class GeometricConfig(ComponentConfig, title="geometric"):
+    """Propagates labels from remembered frames to a view by cameras and predicted depth."""
+
+    target = "slgaussian.masks.geometric:GeometricTracker"
 
 
 class Sam2VideoConfig(ComponentConfig, title="sam2-video"):

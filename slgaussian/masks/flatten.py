@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 from skimage.measure import label as connected_components
+from skimage.segmentation import relabel_sequential
 
 from slgaussian.masks import Proposals
 
@@ -25,16 +26,12 @@ def flatten(proposals: Proposals) -> np.ndarray:
     labels = np.zeros(proposals.masks.shape[1:], np.int32)
     for rank, mask in enumerate(np.lexsort((-index, proposals.scores, -areas)), start=1):
         labels[proposals.masks[mask]] = rank
-    return renumbered(labels[None])[0]
+    return renumber(labels[None])[0]
 
 
-def renumbered(labels: np.ndarray) -> np.ndarray:
+def renumber(labels: np.ndarray) -> np.ndarray:
     """Renumber labels of any shape from 1 without gaps in ascending order; 0 does not change."""
-    table = np.zeros(int(labels.max(initial=0)) + 1, np.int32)
-    used = np.unique(labels)
-    used = used[used > 0]
-    table[used] = np.arange(1, len(used) + 1)
-    return table[labels]
+    return relabel_sequential(labels)[0].astype(np.int32)
 
 
 def without_crumbs(labels: np.ndarray) -> np.ndarray:

@@ -157,7 +157,7 @@ def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
     edges, borders = (np.concatenate([getattr(v, n) for v in views]) for n in ("edges", "borders"))
     means = np.mean([view.means for view in views], 0)
     columns = (np.concatenate([getattr(v, n) for v in views], 1) for n in ("views", "boxes"))
-    return LeafSums(leaves, *_summed(edges, borders, len(means)), means, *columns)
+    return LeafSums(leaves, *_sum_borders(edges, borders, len(means)), means, *columns)
 
 
 def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
@@ -188,10 +188,12 @@ def adjacency(leaves: np.ndarray, boundary: np.ndarray) -> tuple[np.ndarray, np.
         strengths.append(np.maximum(boundary[a], boundary[b])[touch])
     strength = np.concatenate(strengths)
     borders = np.stack([np.ones_like(strength), strength], 1)
-    return _summed(np.concatenate(edges), borders, int(leaves.max(initial=-1)) + 1)
+    return _sum_borders(np.concatenate(edges), borders, int(leaves.max(initial=-1)) + 1)
 
 
-def _summed(edges: np.ndarray, borders: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _sum_borders(
+    edges: np.ndarray, borders: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Sum the borders of equal edges between ``count`` leaves."""
     keys, inverse = np.unique(
         edges[:, 0].astype(np.int64) * count + edges[:, 1], return_inverse=True

@@ -29,11 +29,11 @@ def pixel_values(image: np.ndarray, side: int) -> tuple[torch.Tensor, tuple[int,
     height, width = image.shape[:2]
     scale = side / max(height, width)
     used = max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
-    pixels = normalised(image, used)
+    pixels = normalise(image, used)
     return F.pad(pixels, (0, side - used[1], 0, side - used[0])), used
 
 
-def normalised(image: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
+def normalise(image: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
     """Resize an image uint8 [H, W, 3] bilinearly and normalise it, float32 [1, 3, *size]."""
     resized = Image.fromarray(image).resize(size[::-1], Image.Resampling.BILINEAR)
     pixels = torch.from_numpy(np.array(resized, np.float32)).permute(2, 0, 1)[None] / 255
@@ -47,7 +47,7 @@ def encoder_precision(device: torch.device) -> torch.autocast:
 
 @dataclass(frozen=True, eq=False)
 class SamImage:
-    """An encoded image; see :class:`slgaussian.masks.automatic.PromptedImage`.
+    """An encoded image that can be prompted repeatedly.
 
     Attributes:
         network: SamModel
@@ -62,7 +62,11 @@ class SamImage:
     used: tuple[int, int]
 
     def segment(self, points: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Prompt with each point separately, as foreground, for three masks each."""
+        """Return mask logits float32 [P, 3, h, w] at each point and their predicted IoU [P, 3].
+
+        ``points`` float64 [P, 2] are x and y in pixels of the image; each is prompted separately,
+        as foreground.
+        """
         scaled = points * (self.used[1] / self.size[1], self.used[0] / self.size[0])
         prompts = torch.from_numpy(scaled.astype(np.float32)).to(self.network.device)
         output = self.network(
@@ -74,7 +78,7 @@ class SamImage:
         return output.pred_masks[0].float(), output.iou_scores[0].float()
 
     def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
-        """Resize to the network's input, crop its padding, and resize to the image."""
+        """Resize logits [M, h, w] to the image, float32 [M, H, W], without the input's padding."""
         side = self.network.config.prompt_encoder_config.image_size
         large = F.interpolate(logits[:, None], (side, side), mode="bilinear")
         large = large[:, :, : self.used[0], : self.used[1]]
@@ -121,5 +125,5 @@ class Sam2(AutomaticProposer, Sam2Config):
         side, device = self.network.config.prompt_encoder_config.image_size, self.network.device
         used = side, side
         with encoder_precision(device):
-            levels = self.network.get_image_embeddings(normalised(image, used).to(device))
+            levels = self.network.get_image_embeddings(normalise(image, used).to(device))
         return Sam2Image(self.network, [e.float() for e in levels], image.shape[:2], used)

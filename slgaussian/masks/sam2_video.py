@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from slgaussian.components.pretrained import Family, load_pretrained
 from slgaussian.kernels.threads import inside
 from slgaussian.masks.configs import Sam2VideoConfig
-from slgaussian.masks.sam import normalised
+from slgaussian.masks.sam import normalise
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -80,7 +80,7 @@ class Sam2Video(Sam2VideoConfig):
         if self._encoded is not None and np.array_equal(self._encoded[0], image):
             return self._encoded[1]
         side = self._network.image_size
-        pixels = normalised(image, (side, side)).to(self._network.device)
+        pixels = normalise(image, (side, side)).to(self._network.device)
         with torch.inference_mode(), inside(self._network):
             out = self._network.get_image_features(pixels, return_dict=True)
         features = {

@@ -43,7 +43,7 @@ class SurfacePoints:
         rows, columns = np.nonzero(depth[first::stride, first::stride] > 0)
         return (rows * stride + first) * depth.shape[1] + columns * stride + first
 
-    def lifted(self, pixels: np.ndarray) -> np.ndarray:
+    def unproject(self, pixels: np.ndarray) -> np.ndarray:
         """Unproject ``pixels`` int64 [L] of the flat image to world points, float64 [L, 3]."""
         camera, depth = self.frame.view.camera, self.frame.require_depth()
         row, column = np.divmod(pixels, depth.shape[1])
@@ -80,11 +80,11 @@ def reproject(
     Arguments and results are those of :func:`match_points`.
     """
     camera = b.frame.view.camera
-    projected, z = camera.project(a.lifted(pixels))
+    projected, z = camera.project(a.unproject(pixels))
     which = np.flatnonzero(camera.shows(projected, z))
     column, row = projected[which].astype(np.int64).T
     place = row * camera.width + column
-    back, z = a.frame.view.camera.project(b.lifted(place))
+    back, z = a.frame.view.camera.project(b.unproject(place))
     row, column = np.divmod(pixels[which], a.frame.image.shape[1])
     error = np.hypot(back[:, 0] - column - 0.5, back[:, 1] - row - 0.5)
     same = (b.frame.require_depth().ravel()[place] > 0) & (z > 0) & (error <= AGREE_PIXELS)

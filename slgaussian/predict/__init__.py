@@ -11,12 +11,6 @@ if TYPE_CHECKING:  # names of predictors are read where torch is not imported
     from slgaussian.gaussians import Gaussians
     from slgaussian.scene import Sample
 
-PREDICTORS = {
-    "planesweep": "slgaussian.predict.configs:PlaneSweepConfig",
-    "mvsplat": "slgaussian.predict.configs:MVSplatConfig",
-    "precomputed": "slgaussian.predict.configs:PrecomputedGeometryConfig",
-}
-
 
 class GaussianPredictor(Protocol):
     """A callable from the context views of a sample to Gaussians."""

@@ -11,6 +11,12 @@ from slgaussian.components.config import ComponentConfig, File
 from slgaussian.io import file_digest
 from slgaussian.masks.configs import PrecomputedConfig
 
+PREDICTORS = {
+    "planesweep": "slgaussian.predict.configs:PlaneSweepConfig",
+    "mvsplat": "slgaussian.predict.configs:MVSplatConfig",
+    "precomputed": "slgaussian.predict.configs:PrecomputedGeometryConfig",
+}
+
 
 class PlaneSweepConfig(ComponentConfig, title="planesweep"):
     """Depth by plane sweep and semi-global matching, one Gaussian a context pixel and some more."""

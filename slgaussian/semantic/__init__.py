@@ -11,12 +11,6 @@ if TYPE_CHECKING:  # listing the liftings must not import torch
     from slgaussian.labels import LabelMaps
     from slgaussian.language.bank import MemoryBank
 
-LIFTINGS = {
-    "hard": "slgaussian.semantic.hard:HardIndex",
-    "filled": "slgaussian.semantic.hard:Filled",
-    "branch": "slgaussian.semantic.configs:BranchConfig",
-}
-
 
 class Lifting(Protocol):
     """Computes one feature per Gaussian from label maps and codes (f_i, section 3.1)."""

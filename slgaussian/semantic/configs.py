@@ -10,12 +10,30 @@ from pydantic import Field
 from slgaussian.components.config import ComponentConfig, Config, File
 from slgaussian.io import file_digest
 
+LIFTINGS = {
+    "hard": "slgaussian.semantic.configs:HardConfig",
+    "filled": "slgaussian.semantic.configs:FilledConfig",
+    "branch": "slgaussian.semantic.configs:BranchConfig",
+}
+
 
 def weights_digest(place: str | Path) -> str:
     """Compute the SHA-256 of the weights file at ``place``; raises as :func:`find_weights`."""
     from slgaussian.semantic.versions import find_weights
 
     return file_digest(find_weights(place))
+
+
+class HardConfig(ComponentConfig, title="hard"):
+    """Copy the label of the source pixel (SegSplat, arXiv 2511.18386, lifts the same way)."""
+
+    target = "slgaussian.semantic.hard:HardIndex"
+
+
+class FilledConfig(ComponentConfig, title="filled"):
+    """Fill unlabelled pixels from other views, then copy the label of the source pixel."""
+
+    target = "slgaussian.semantic.hard:Filled"
 
 
 class BranchConfig(ComponentConfig, title="branch"):

@@ -1,4 +1,4 @@
-"""Components with their settings: complete, identified by the content of files, checked."""
+"""Configs of components: complete, identified by the content of files, checked, picklable."""
 
 import json
 import pickle
@@ -8,15 +8,17 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
-from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, File
 from slgaussian.components.method import Method
-from slgaussian.components.registry import KINDS
+from slgaussian.components.registry import KINDS, configure, find_config, list_names, restore
 from slgaussian.errors import InputError
-from slgaussian.io import KnownFile, file_digest
+from slgaussian.io import file_digest
+from slgaussian.language.configs import LexiconConfig
 from slgaussian.semantic.branch import Architecture, BranchLifting, make_branch, save_branch
+from slgaussian.semantic.configs import BranchConfig
 
 NAMES = {kind: known.default for kind, known in KINDS.items()}
+BUILT_IN = [(kind, name) for kind in KINDS for name in list_names(kind)]
 
 
 @pytest.fixture
@@ -27,7 +29,13 @@ def weights(tmp_path) -> Path:
     return file
 
 
-def test_the_identity_is_flat_plain_and_complete():
+@pytest.fixture
+def branch(weights) -> ComponentConfig:
+    """The config of the lifting with these weights, pinned."""
+    return find_config("lifting", "branch")(weights=weights).pin()
+
+
+def test_identity_of_method_is_flat_plain_and_complete():
     expected = {
         **NAMES,
         "replicas": 5,
@@ -38,49 +46,55 @@ def test_the_identity_is_flat_plain_and_complete():
         "planesweep": {"depth_candidates": 144},
         "lexicon": {"classifier": "none"},
     }
-    method = Method(settings={"lexicon": {"classifier": "none"}})
-    assert json.dumps(method.identity()) == json.dumps(expected)
+    for method in (
+        Method(settings={"lexicon": {"classifier": "none"}}),
+        Method("planesweep", encoder=LexiconConfig(classifier="none")),
+    ):
+        assert json.dumps(method.identity()) == json.dumps(expected)
 
 
-def test_a_file_is_known_by_its_content_wherever_it_is(weights, tmp_path):
+@pytest.mark.parametrize(("kind", "name"), BUILT_IN)
+def test_config_knows_its_kind_and_name_and_survives_pickle(kind, name):
+    config = find_config(kind, name)()
+    assert (config.kind, config.name) == (kind, name)
+    restored = pickle.loads(pickle.dumps(config))
+    assert restored == config and type(restored) is type(config)
+
+
+def test_identity_depends_on_content_of_file_and_not_on_its_place(branch, weights, tmp_path):
     moved = tmp_path / "elsewhere.safetensors"
     moved.write_bytes(weights.read_bytes())
-    places = weights, moved
-    first, second = (Component.of("lifting", "branch", {"weights": place}) for place in places)
-    assert first.identity() == second.identity() == {"weights": file_digest(weights)}
-    assert first.places() == {"weights": str(weights)} != second.places()
-    assert str(tmp_path) not in json.dumps(first.identity())
+    other = configure("lifting", BranchConfig(weights=moved))
+    assert branch.identity() == other.identity() == {"weights": file_digest(weights)}
+    assert branch.places() == {"weights": str(weights)} != other.places()
+    assert str(tmp_path) not in json.dumps(branch.identity())
 
 
-def test_a_part_comes_back_from_its_identity_and_its_places(weights):
-    component = Component.of("lifting", "branch", {"weights": str(weights)})
-    identity = {"lifting": "branch", "branch": component.identity()}
-    restored = Component.stored("lifting", json.loads(json.dumps(identity)), component.places())
-    assert restored == component == pickle.loads(pickle.dumps(component))
+def test_restore_loads_component_from_identity_and_places(branch):
+    identity = {"lifting": "branch", "branch": branch.identity()}
+    restored = restore("lifting", json.loads(json.dumps(identity)), branch.places())
+    assert restored == branch == pickle.loads(pickle.dumps(branch))
     assert isinstance(restored.load(), BranchLifting)
+    place_alone = restore("lifting", {"lifting": "branch"}, branch.places())  # of any content
+    assert isinstance(place_alone.load(), BranchLifting)
     with pytest.raises(InputError, match="no version is in use"):
-        Component.stored("lifting", identity).load()
+        restore("lifting", identity).load()
 
 
-def test_a_file_that_changed_is_refused(weights):
-    part = Component.of("lifting", "branch", {"weights": weights})
+def test_load_refuses_file_that_changed_after_pin(branch, weights):
     weights.write_bytes(b"another")
     with pytest.raises(InputError, match=r"branch\.safetensors: was changed after the run"):
-        part.load()
+        branch.load()
     with pytest.raises(InputError, match=r"branch\.safetensors: is another$"):
-        part.load("is another")
+        branch.load("is another")
     weights.unlink()
     with pytest.raises(InputError, match=r"branch\.safetensors: cannot be read \(No such file"):
-        part.load()
+        branch.load()
 
 
-def test_a_file_of_which_no_digest_is_known_may_be_any(weights):
-    assert KnownFile(str(weights), None).checked("weights", file_digest) == str(weights)
-
-
-def test_a_missing_file_is_said_by_the_part_that_needs_it(tmp_path):
+def test_pin_reports_missing_file_by_component(tmp_path):
     with pytest.raises(InputError, match=r"weights .*none\.npz: cannot be read"):
-        Component.of("lifting", "branch", {"weights": tmp_path / "none.npz"})
+        Method(lifting="branch", settings={"branch": {"weights": tmp_path / "none.npz"}})
 
 
 @pytest.mark.parametrize(
@@ -91,9 +105,9 @@ def test_a_missing_file_is_said_by_the_part_that_needs_it(tmp_path):
         ("lifting", "hard", {"x": 1}, "unknown key 'hard.x'; the keys are none"),
     ],
 )
-def test_what_is_unknown_is_one_sentence(kind, name, values, sentence):
+def test_unknown_component_or_field_is_refused_in_one_sentence(kind, name, values, sentence):
     with pytest.raises(InputError, match=sentence):
-        Component.of(kind, name, values)
+        Method(**{kind: name}, settings={name: values})
 
 
 class Mixed(ComponentConfig):
@@ -116,7 +130,7 @@ class Mixed(ComponentConfig):
         ({"sort": "c", "cuont": 1}, "unknown key 'mixed.cuont'; did you mean 'count'?"),
     ],
 )
-def test_a_value_that_does_not_fit_is_one_sentence(values, sentence):
+def test_invalid_value_is_refused_in_one_sentence(values, sentence):
     with pytest.raises(InputError) as error:
         Mixed(**values)
     assert str(error.value) == sentence

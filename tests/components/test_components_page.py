@@ -11,7 +11,7 @@ from slgaussian.components.registry import list_components
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "components.md"
 
 
-def test_the_page_is_what_its_maker_writes():
+def test_components_page_is_up_to_date():
     text = list_components()
     assert PAGE.read_text("utf-8").endswith(f"\n\n{text}") and "``" not in text
 
@@ -24,13 +24,13 @@ def test_the_page_is_what_its_maker_writes():
         ({"clip": {"crops": "square"}}, False),
     ],
 )
-def test_the_schema_tells_configurations_from_others(values, fits):
+def test_json_schema_accepts_valid_and_refuses_invalid_configurations(values, fits):
     jsonschema = pytest.importorskip("jsonschema")
     validator = jsonschema.Draft202012Validator(Settings.model_json_schema())
     assert validator.is_valid(values) == fits
 
 
-def test_two_outputs_at_once_are_refused(monkeypatch, capsys):
+def test_doctor_refuses_components_with_schema(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["slgaussian", "doctor", "--components", "--schema"])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -33,7 +33,7 @@ def write(file: Path, text: str) -> Path:
     ],
     ids=["file", "maps", "model", "tokenizer", "checkpoint"],
 )
-def test_every_file_counts_though_its_size_and_time_stay(tmp_path, digest, names):
+def test_digest_changes_with_every_file_of_same_size_and_time(tmp_path, digest, names):
     for name in names:
         write(tmp_path / name, "one")
     digests = {digest(tmp_path)}
@@ -49,7 +49,7 @@ def test_every_file_counts_though_its_size_and_time_stay(tmp_path, digest, names
 
 
 @pytest.mark.parametrize("name", ["special_tokens_map.json", "added_tokens.json"])
-def test_a_file_that_comes_beside_a_model_counts(tmp_path, name):
+def test_digest_changes_with_new_tokenizer_file_beside_model(tmp_path, name):
     for one in MODEL:
         write(tmp_path / one, "one")
     before = model_digest(tmp_path), tokenizer_digest(tmp_path)
@@ -60,7 +60,7 @@ def test_a_file_that_comes_beside_a_model_counts(tmp_path, name):
     assert before[0] != after[0] and before[1] != after[1]
 
 
-def test_maps_in_a_folder_that_is_a_link_count(tmp_path):
+def test_folder_digest_follows_linked_folders(tmp_path):
     maps = tmp_path / "maps"
     for name in ("one", "two"):
         write(tmp_path / name / "a.png", name)

@@ -48,12 +48,12 @@ def package(folder: Path, name: str, line: str, code: str) -> Path:
     return folder
 
 
-def test_the_page_about_the_architecture_shows_it_whole():
+def test_architecture_page_shows_whole_example():
     page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
     assert (PACKAGE / "ink.py").read_text("utf-8") in page
 
 
-def test_it_is_listed_with_the_others(run_python):
+def test_plugin_is_listed_with_built_in_components(run_python):
     listed = " ".join(run_python(command("doctor", "--components")).split())
     assert "### regions (default)" in listed and "### ink" in listed
     assert "default `40.0`. Greatest distance from a colour." in listed
@@ -61,15 +61,45 @@ def test_it_is_listed_with_the_others(run_python):
     assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
 
 
-def test_a_file_is_known_by_content_and_relative_to_the_configuration(run_python, tmp_path):
+DECLARED = """
+import json, pickle
+from flows.config import TABLES, Settings
+from flows.read_config import make_settings
+from slgaussian.components.registry import find_config
+from tasks.stage import cache_key
+config = make_settings({"proposer": "ink", "ink": {"colours": "a.txt", "least": 5}}, "test")
+ink = config.field_method.proposer
+assert pickle.loads(pickle.dumps(ink)) == ink == config.configure("proposer").pin()
+try:
+    make_settings({"proposer": "ink", "ink": {"within": 500}}, "test")
+except ValueError as error:
+    refused = str(error)
+print(json.dumps([
+    ink.kind, ink.name, ink.identity(), ink.places(), type(ink.load()).__name__, refused,
+    cache_key("masks", 1, {"proposer": ink}), find_config("proposer", "ink").describe(),
+    Settings.model_json_schema()["$defs"]["Ink"], sorted(TABLES),
+]))
+"""
+
+
+def test_plugin_and_built_in_component_go_the_same_way(run_python, tmp_path):
+    (tmp_path / "a.txt").write_text(RED)
+    (tmp_path / "alone").mkdir()
+    (tmp_path / "alone" / "ink.py").write_bytes((PACKAGE / "ink.py").read_bytes())
+    entry = "from slgaussian.masks import configs; configs.PROPOSERS['ink'] = 'ink:Ink'"
+    built_in = run_python(entry + DECLARED, tmp_path / "alone")
+    assert json.loads(run_python(DECLARED)) == json.loads(built_in)
+
+
+def test_file_of_plugin_is_relative_to_configuration_and_known_by_content(run_python, tmp_path):
     (tmp_path / "sub").mkdir()
     for file in ("a.txt", "sub/b.txt"):
         (tmp_path / file).write_text(RED)
     code = (
         "import json, sys; from pathlib import Path; from flows.read_config import read_toml\n"
         "for name in ('a.toml', 'sub/b.toml'):\n"
-        "    part = read_toml(Path(name), {}).part('proposer')\n"
-        "    print(json.dumps([part.identity(), part.places()]))"
+        "    ink = read_toml(Path(name), {}).configure('proposer')\n"
+        "    print(json.dumps([ink.identity(), ink.places()]))"
     )
     for name, file in (("a.toml", "a.txt"), ("sub/b.toml", "b.txt")):
         text = f'proposer = "ink"\n[ink]\ncolours = "{file}"\nleast = 5\n'
@@ -79,7 +109,7 @@ def test_a_file_is_known_by_content_and_relative_to_the_configuration(run_python
     assert at["colours"] == str(tmp_path / "a.txt") != elsewhere["colours"]
 
 
-def test_a_field_is_built_with_it(run_python, tmp_path):
+def test_field_is_built_with_plugin(run_python, tmp_path):
     folder = save_photographs(tmp_path)
     view = room_sample().context[0]
     ids, counts = np.unique(view.instances, return_counts=True)
@@ -97,7 +127,7 @@ def test_a_field_is_built_with_it(run_python, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["regions", "lexicon"])
-def test_a_name_that_is_built_in_is_refused(run_python, tmp_path, name):
+def test_plugin_with_name_of_built_in_component_raises_input_error(run_python, tmp_path, name):
     folder = package(
         tmp_path / "p",
         "mine",
@@ -113,7 +143,7 @@ def test_a_name_that_is_built_in_is_refused(run_python, tmp_path, name):
     assert printed.startswith(f"proposer '{name}': a component of this name is built in")
 
 
-def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(run_python, tmp_path):
+def test_plugin_that_cannot_be_imported_raises_input_error_with_its_name(run_python, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
     folder = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
     listed = run_python(command("doctor", "--components"), folder).splitlines()

@@ -56,7 +56,7 @@ def places(tmp_path_factory) -> dict[str, Path]:
     }
 
 
-def digest_of(name: str, place: Path) -> str:
+def hash_files(name: str, place: Path) -> str:
     if name == "mvsplat":
         return hashlib.sha256(place.read_bytes()).hexdigest()
     return folder_digest(place) if name == "precomputed" else model_digest(place)
@@ -91,11 +91,13 @@ def settings_for(places: dict[str, Path], *names: str, **values) -> Settings:
     return make_settings({**common, **values}, "test")
 
 
-def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:
+def record_calls(
+    scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch
+) -> dict[str, dict[str, Any]]:
     """Return the arguments of every stage of a pipeline by its name."""
     calls = {}
 
-    def called(stage: Stage, *args, **kwargs) -> ArtifactRef:
+    def record(stage: Stage, *args, **kwargs) -> ArtifactRef:
         bound = stage.signature.bind(None, *args, **kwargs)
         bound.apply_defaults()
         _, *inputs = bound.arguments.items()
@@ -103,32 +105,34 @@ def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str
         return ArtifactRef(stage.name, f"{stage.name}/x", "x", {"targets": []})
 
     with monkeypatch.context() as patch:
-        patch.setattr(Stage, "__call__", called)
+        patch.setattr(Stage, "__call__", record)
         scene_task.pipeline(*scene_task.arguments)
     return calls
 
 
-def keyed(arguments: dict[str, Any]) -> dict[str, Any]:
+def select_keys(arguments: dict[str, Any]) -> dict[str, Any]:
     """Return the arguments of a stage that are part of its cache key."""
     return {name: canonical(value, name) for name, value in arguments.items()}
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_files_are_in_the_keys_of_their_stage_by_content(places, name, monkeypatch):
+def test_cache_key_of_stage_has_files_of_component_by_content(places, name, monkeypatch):
     kind, setting, local, added = CASES[name]
     chosen, default = settings_for(places, name), settings_for(places)
-    steps, plain = (calls_of(scene_task(s, s.scenes[0]), monkeypatch) for s in (chosen, default))
-    identity = {setting: digest_of(name, places[name]), **local, **added}
+    steps, plain = (
+        record_calls(scene_task(s, s.scenes[0]), monkeypatch) for s in (chosen, default)
+    )
+    identity = {setting: hash_files(name, places[name]), **local, **added}
     stage = STAGE_OF[kind]
-    assert keyed(steps[stage])[kind] == {name: identity}
-    assert keyed(steps["field"])["method"][name] == identity
+    assert select_keys(steps[stage])[kind] == {name: identity}
+    assert select_keys(steps["field"])["method"][name] == identity
     assert steps[stage][kind].places() == {setting: str(places[name])}
-    changed = {stage for stage in plain if keyed(plain[stage]) != keyed(steps[stage])}
+    changed = {stage for stage in plain if select_keys(plain[stage]) != select_keys(steps[stage])}
     assert changed - {"benchmark", "attribution"} == {stage, "field"}
-    assert name not in keyed(plain["field"])["method"] and plain[stage][kind].places() == {}
+    assert name not in select_keys(plain["field"])["method"] and plain[stage][kind].places() == {}
 
 
-def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, capsys):
+def test_run_is_cached_by_content_of_files_wherever_they_are(places, tmp_path, server, capsys):
     names = ("mvsplat", "sam", "clip")
     store = ArtifactStore(tmp_path / "store")
     finished = score(settings_for(places, *names, out=tmp_path / "out"), store)
@@ -138,7 +142,7 @@ def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, ca
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     for name in names:
         setting = f"settings.{name}.{CASES[name][1]}"
-        cell = f'{setting}</td><td data-head="" class=" left">{digest_of(name, places[name])}</td>'
+        cell = f'{setting}</td><td data-head="" class=" left">{hash_files(name, places[name])}</td>'
         assert cell in page
 
     # The same files in another place: nothing is computed. Another setting: its stage is.
@@ -162,7 +166,7 @@ def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, ca
         assert not file.is_file() or str(places["sam"].parent).encode() not in file.read_bytes()
 
 
-def test_a_field_is_built_of_depth_and_cameras_of_a_file(tmp_path, monkeypatch):
+def test_field_is_built_from_depth_and_cameras_in_file(tmp_path, monkeypatch):
     """An NPZ in the layout of Depth Anything 3, with its photographs beside it."""
     views = [command.room(*SIZE).read(name) for name in ROOM["context"]]
     for view in views:
@@ -195,7 +199,7 @@ def clip_field(places, photos, tmp_path_factory) -> Path:
     return folder
 
 
-def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
+def test_field_is_queried_with_its_model_wherever_that_is(
     clip_field, places, ask, slg, refusal, tmp_path
 ):
     info = json.loads((clip_field / "field.json").read_text())
@@ -232,7 +236,7 @@ def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
     [
         ("predictor=mvsplat", "mvsplat checkpoint: none given; download re10k.ckpt"),
         ("predictor=mvsplat mvsplat.checkpoint=page.ckpt", "page.ckpt: is damaged"),
-        ("mvsplat.precision=bfloat16", "but no part is 'mvsplat' (found predictor 'planes"),
+        ("mvsplat.precision=bfloat16", "but no component is 'mvsplat' (found predictor 'planes"),
         ("encoder=clip clip.model=CLIP clip.crops=x", "crops: found 'x'"),
         ("proposer=sam", "sam model: none given; give a folder, or a name on the hub as"),
         ("proposer=sam2 sam2.model=SAM", "is of type 'sam', but sam2 needs"),
@@ -240,7 +244,7 @@ def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
         ("tracker=precomputed", "precomputed folder: none given"),
     ],
 )
-def test_a_run_that_cannot_be_does_not_begin(
+def test_run_with_unusable_component_does_not_begin(
     places, tmp_path, monkeypatch, refusal, assignments, sentence
 ):
     monkeypatch.chdir(tmp_path)

@@ -19,7 +19,7 @@ from flows.config import CorpusSettings
 from flows.read_config import make_settings
 from flows.runners.environment import call_flow
 from slgaussian import datasets
-from slgaussian.components.component import Component
+from slgaussian.components.config import ComponentConfig
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.semantic.lesson import Lesson
@@ -68,7 +68,7 @@ def reads(monkeypatch):
     """Count how often chunks are ``hashed`` and ``opened``, and samples ``predicted``."""
     from tasks import chunks
 
-    counts, load = Counter(), Component.load
+    counts, load = Counter(), ComponentConfig.load
 
     def counted(name, function):
         def call(*args, **kwargs):
@@ -84,7 +84,7 @@ def reads(monkeypatch):
     digest = counted("hashed", chunks.hashlib.file_digest)
     monkeypatch.setattr(chunks.hashlib, "file_digest", digest)
     monkeypatch.setattr(re10k, "read_chunk", counted("opened", re10k.read_chunk))
-    monkeypatch.setattr(Component, "load", loaded)
+    monkeypatch.setattr(ComponentConfig, "load", loaded)
 
     def take():
         picked = dict(counts)

@@ -171,7 +171,7 @@ def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_p
     settings = settings_for(folder, missing)
     scene = datasets.load(ROOM["format"], **ROOM["options"])
     sample = scene.sample(ROOM["context"], size=settings.size)
-    expected = build_field(replace(sample, scene="room"), settings.built_by)
+    expected = build_field(replace(sample, scene="room"), settings.field_method)
     expected.save(tmp_path / "own")
     for file in left.iterdir():
         data, mine = file.read_bytes(), (tmp_path / "own" / file.name).read_bytes()

@@ -19,11 +19,11 @@ def file(tmp_path) -> Path:
     return tmp_path / "run.toml"
 
 
-def method_of(values: dict) -> dict:
+def select_method(values: dict) -> dict:
     return make_settings(values, "test").model_dump(include=set(Method.model_fields))
 
 
-def test_the_papers_training_is_a_preset():
+def test_preset_paper_has_training_of_the_paper():
     """Implementation Details: 80,000 iterations, a batch of 1, mask identifiers as they are."""
     values = {"preset": "paper", "lessons": "corpus", "out": "out"}
     chosen = checked(TrainSettings, values, "train")
@@ -34,18 +34,18 @@ def test_the_papers_training_is_a_preset():
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_has_settings_of_the_method_alone_and_its_parts_take_them(name):
+def test_preset_has_only_settings_that_the_chosen_components_use(name):
     values = tomllib.loads((FOLDER / f"{name}.toml").read_text("utf-8"))
     assert set(values) <= set(Method.model_fields)
     chosen = make_settings({"preset": name}, "test")
     assert chosen.preset == name
-    assert method_of({"preset": name}) == method_of(values)
-    chosen.built_by.check()
+    assert select_method({"preset": name}) == select_method(values)
+    chosen.field_method.check()
     # Nothing in it is idle.
-    assert values.keys() & TABLES.keys() <= chosen.component_values().keys()
+    assert values.keys() & TABLES.keys() <= {component.table for component in chosen.components}
 
 
-def test_what_is_given_wins_key_by_key(file):
+def test_options_win_over_file_and_file_over_preset_key_by_key(file):
     fast = make_settings({"preset": "fast"}, "test")
     local = {"planesweep": {"depth_candidates": 100}}
     mixed = make_settings({"preset": "fast", **local}, "test")
@@ -59,10 +59,10 @@ def test_what_is_given_wins_key_by_key(file):
     assert read_toml(file, {"preset": "fast", "size": "auto"}).size == "auto"
     # Its tables are as those of a file: that of a part which is not chosen lies idle.
     second = make_settings({"preset": "fast", "predictor": "mvsplat"}, "test")
-    assert "planesweep" not in second.component_values()
+    assert "planesweep" not in {component.name for component in second.components}
 
 
-def test_paths_in_a_file_are_relative_to_it(file, tmp_path):
+def test_paths_in_file_are_relative_to_its_folder(file, tmp_path):
     scene = '[[scenes]]\nname = "a"\npath = "photos"\ncontext = ["1", "2"]\n'
     file.write_text(f'store = "store"\nsize = [64, 96]\n{scene}')
     read = read_toml(file, {"size": "original"})
@@ -95,7 +95,7 @@ folder = "ids"
 """
 
 
-def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(file, tmp_path):
+def test_paths_in_component_table_are_relative_and_hub_names_stay(file, tmp_path):
     (tmp_path / "weights").mkdir()
     (tmp_path / "clip.bin").touch()
     file.write_text(COMPONENTS)
@@ -105,13 +105,13 @@ def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(fil
     assert read.mvsplat.model_dump() == {"checkpoint": checkpoint, "precision": "float32"}
     assert (read.clip.model, read.clip.tokenizer) == (str(tmp_path / "clip.bin"), "a/b")
     assert (read.sam.model, read.sam2.model) == (weights, "facebook/sam2.1-hiera-tiny")
-    assert read.component_values()["sam2-video"] == {"model": weights, "batch": 4}
+    assert dict(read.configure("tracker")) == {"model": weights, "batch": 4}
     assert read.precomputed.folder == tmp_path / "ids"
     other = {"mvsplat": {"checkpoint": "elsewhere.ckpt"}}
     assert read_toml(file, other).mvsplat.checkpoint == Path("elsewhere.ckpt")
     # A file may keep the table of a part that is not chosen; an option without effect is a slip.
-    assert "mvsplat" not in read_toml(file, {"predictor": "planesweep"}).component_values()
-    with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
+    assert read_toml(file, {"predictor": "planesweep"}).configure("predictor").name == "planesweep"
+    with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no component is"):
         read_toml(file, {"predictor": "planesweep", **other})
 
 
@@ -131,23 +131,14 @@ def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(fil
         (2 * '[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n', "two scenes are called 'a'"),
     ],
 )
-def test_a_slip_in_a_configuration_is_one_sentence(file, text, sentence):
+def test_invalid_configuration_is_refused_in_one_sentence(file, text, sentence):
     file.write_text(text)
     with pytest.raises(InputError, match=sentence) as error:
         read_toml(file, {})
     assert "run.toml" in str(error.value)
 
 
-def test_widths_of_the_branch_are_text_or_a_list():
-    values = {"lessons": "corpus", "out": "out"}
-    for widths in ("8,16", [8, 16]):
-        assert checked(TrainSettings, {**values, "widths": widths}, "train").widths == (8, 16)
-    for widths in ("8,x", "8,0", ""):
-        with pytest.raises(InputError, match=r"train: widths.* found"):
-            checked(TrainSettings, {**values, "widths": widths}, "train")
-
-
-def test_a_scene_with_the_name_of_a_room_is_refused():
+def test_scene_with_name_of_room_raises_input_error():
     scene = {"name": "room_3", "context": ["1", "2"]}
     with pytest.raises(InputError, match="two scenes are called 'room_3'"):
         scenes_of(make_settings({"rooms": "3-3", "scenes": [scene]}, "test"))

@@ -68,7 +68,7 @@ def test_what_a_setting_does_not_touch_is_not_made_again(swept):
         (["views=1,2"], "views: found '1', expected a number from 2"),
         ([f"{DEPTHS}=16,16"], "expected FIELD=a,b,c with different values"),
         (["replica=1"], "found no setting 'replica'; did you mean 'replicas'"),
-        (["mvsplat.precision=float32"], "no part is 'mvsplat'"),
+        (["mvsplat.precision=float32"], "no component is 'mvsplat'"),
     ],
 )
 def test_what_cannot_be_swept_is_one_sentence(sweep, sentence):

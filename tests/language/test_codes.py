@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
-from slgaussian.language import CODES, load_codes
+from slgaussian.language import load_codes
 from slgaussian.language.codes import (
     Pairs,
     Separated,
@@ -17,6 +17,7 @@ from slgaussian.language.codes import (
     neighbours,
     place,
 )
+from slgaussian.language.configs import CODES
 from slgaussian.language.nearest import nearest_code
 
 

@@ -14,12 +14,18 @@ SIDE = 64
 """Of the square that the networks look at."""
 
 
-def _save(model, iou_bias: float, folder: Path) -> Path:
+def draw_weights(model) -> None:
+    """Draw all matrices of a model at random, always the same."""
     state = torch.Generator().manual_seed(1)
-    for name, tensor in sorted(model.named_parameters()):
+    for _, tensor in sorted(model.named_parameters()):
         if tensor.ndim > 1:
             spread = tensor[0].numel() ** -0.5
             tensor.data.copy_(torch.randn(tensor.shape, generator=state) * spread)
+
+
+def _save(model, iou_bias: float, folder: Path) -> Path:
+    draw_weights(model)
+    for name, tensor in model.named_parameters():
         if "output_hypernetworks_mlps" in name and "proj_out" in name:
             tensor.data.mul_(300)
     model.mask_decoder.iou_prediction_head.proj_out.bias.data.fill_(iou_bias)

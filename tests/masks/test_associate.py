@@ -3,12 +3,15 @@ from functools import cache
 import numpy as np
 import pytest
 from drawn_views import SIZE, canvas, flat, paste, view
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals
-from slgaussian.masks.associate import associate, match_detections
+from slgaussian.masks.associate import associate, match_detections, vote
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.regions import Regions
 
@@ -57,13 +60,13 @@ def picture(seed=0):
 WHOLE = (0, *SIZE[:1], 0, *SIZE[1:])
 
 
-def test_no_proposals_at_all():
+def test_associate_without_proposals_returns_empty_labels():
     views = [flat(picture()), flat(picture(1), "b")]
     maps = associate(views, Drawn([], [], [], []), GeometricTracker())
     assert not maps.labels.any() and len(maps.ids) == 0 and (maps.margin == 1).all()
 
 
-def test_an_object_seen_in_one_view_only_is_kept():
+def test_associate_keeps_object_of_one_view_with_its_own_id():
     first, second = picture(), picture()
     paste(second, (5, 35, 110, 150), (30, 200, 60), 9)
     boxes = [WHOLE, (20, 60, 20, 70), (60, 100, 90, 140)]
@@ -78,13 +81,13 @@ def test_an_object_seen_in_one_view_only_is_kept():
         assert (maps_of_order.labels[:, 40, 45] == maps_of_order.labels[0, 40, 45]).all()
 
 
-def test_regions_left_out_by_the_first_proposals_are_proposed_again():
+def test_uncovered_pixels_are_proposed_a_second_time():
     drawn = Drawn([(0, 60, 0, SIZE[1])], [(60, SIZE[0], 0, SIZE[1])])
     maps = associate([flat(picture())], drawn, GeometricTracker())
     assert (maps.labels[0][:60] == 1).all() and (maps.labels[0][60:] == 2).all()
 
 
-def test_replicas_outvote_the_detection():
+def test_majority_of_replicas_overrules_detection():
     maps = associate([view(picture())], Drawn([WHOLE]), Wandering(), replicas=5)
     # Copy k has lost k rows: row 0 is lost in 4 of 5 copies, row 2 in 2 of 5, row 4 in none.
     assert not maps.labels[0][:2].any() and (maps.labels[0][2:] == 1).all()
@@ -101,19 +104,19 @@ def room_views(seed):
     return views, [SeenView(view, view.depth) for view in views]
 
 
-def test_copies_that_would_be_the_same_are_not_made_and_change_nothing():
+def test_skipping_identical_copies_gives_same_labels_and_margins():
     """Ten frames, all made, against those that can differ: of two views the same bytes."""
     _, frame = room_views(0)
     calls = []
 
-    def found(votes):
+    def label(votes):
         tracker = GeometricTracker()
         propagate = tracker.propagate
         tracker.propagate = lambda here: calls.append(here.view.name) or propagate(here)
         return associate(frame, Regions(), tracker, 5, votes)
 
-    subset, count = found("views"), len(calls)
-    every = found("copies")
+    subset, count = label("views"), len(calls)
+    every = label("copies")
     np.testing.assert_array_equal(subset.labels, every.labels)
     np.testing.assert_array_equal(subset.margin, every.margin)
     assert (every.computed, len(calls) - count) == (5, 4 + 5)
@@ -155,7 +158,7 @@ def row(**lengths):
         (row(a5=8, b0=12, c5=9), row(a1=20, b0=9), row(a5=20, c5=9)),
     ],
 )
-def test_merge_goes_by_the_intersection_over_the_union(carried, detected, expected):
+def test_match_detections_assigns_ids_by_iou_and_known_pixels(carried, detected, expected):
     assert match_detections(carried, detected, 9).tolist() == expected.tolist()
 
 
@@ -167,6 +170,45 @@ def test_merge_goes_by_the_intersection_over_the_union(carried, detected, expect
         ([view(picture()), view(picture()[:-1], "b")], {}, "'b'"),
     ],
 )
-def test_bad_input_is_refused(views, settings, says):
+def test_associate_refuses_no_views_bad_replicas_and_mixed_sizes(views, settings, says):
     with pytest.raises(InputError, match=says):
         associate(views, Regions(), GeometricTracker(), **settings)
+
+
+def plain_vote(stack):
+    """The rule, written as loops over pixels and replicas."""
+    labels = np.zeros(stack.shape[1:], np.int32)
+    margin = np.zeros(stack.shape[1:])
+    for pixel in np.ndindex(labels.shape):
+        ballots = [int(replica[pixel]) for replica in stack]
+        counts = {label: ballots.count(label) for label in ballots}
+        winner = max(ballots, key=lambda label: counts[label])  # max keeps the first of equals
+        won = counts.pop(winner)
+        labels[pixel] = winner
+        margin[pixel] = (won - max(counts.values(), default=0)) / len(ballots)
+    return labels, margin
+
+
+stacks = hnp.arrays(
+    np.int32,
+    st.tuples(st.integers(1, 7), st.integers(1, 3), st.integers(1, 4)),
+    elements=st.integers(0, 4),
+)
+
+
+@given(stacks)
+def test_vote_equals_plain_majority(stack):
+    labels, margin = vote(stack)
+    expected_labels, expected_margin = plain_vote(stack)
+    np.testing.assert_array_equal(labels, expected_labels)
+    np.testing.assert_allclose(margin, expected_margin, atol=1e-7)  # one float32 rounding of [0, 1]
+    assert labels.dtype == np.int32 and margin.dtype == np.float32
+
+
+@given(stacks, st.lists(st.integers(1, 4), min_size=7, max_size=7))
+def test_map_with_weight_counts_as_many_equal_maps(stack, times):
+    times = times[: len(stack)]
+    labels, margin = vote(stack, times)
+    expected, won = vote(np.repeat(stack, times, 0))
+    np.testing.assert_array_equal(labels, expected)
+    np.testing.assert_array_equal(margin, won)

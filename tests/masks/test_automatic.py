@@ -77,7 +77,7 @@ def names(proposals):
 PLAIN = Automatic(points=8, predicted_iou=0.8, stability=0.9)
 
 
-def test_nested_boxes_are_found_once_each():
+def test_all_masks_returns_each_nested_box_once():
     result = all_masks(Drawn(), picture(), PLAIN)
     assert sorted(names(result)) == ["group", "object", "part"]
     # The box of the object covers .4 of that of the group.
@@ -86,12 +86,12 @@ def test_nested_boxes_are_found_once_each():
     assert result.scores.dtype == np.float32 and (np.diff(result.scores) <= 0).all()
 
 
-def test_levels_limit_the_masks():
+def test_all_masks_returns_only_masks_of_given_levels():
     assert names(all_masks(Drawn(), picture(), PLAIN, levels=("l",))) == ["group"]
     assert sorted(names(all_masks(Drawn(), picture(), PLAIN, levels=("m",)))) == ["group", "object"]
 
 
-def test_what_is_not_sure_or_not_stable_goes():
+def test_all_masks_drops_masks_of_low_iou_or_stability():
     assert len(all_masks(Drawn(), picture(), replace(PLAIN, predicted_iou=0.95)).masks) == 0
     some = replace(PLAIN, predicted_iou=0.92)  # the third mask has .85, the second .9
     assert len(all_masks(Drawn(), picture(), some, levels=("m", "l")).masks) == 0
@@ -100,7 +100,7 @@ def test_what_is_not_sure_or_not_stable_goes():
     assert len(all_masks(Drawn(steep=0.5), picture(), replace(PLAIN, stability=0)).masks) == 3
 
 
-def test_where_limits_the_points():
+def test_all_masks_prompts_only_points_in_region():
     drawn = Drawn()
     place = np.zeros(SIZE, bool)
     place[:, 64:] = True
@@ -113,7 +113,7 @@ def test_where_limits_the_points():
     assert result.masks.shape == (0, *SIZE) and len(result.scores) == 0
 
 
-def test_presets_are_those_of_the_programs():
+def test_presets_yield_masks_and_grouping_drops_hidden_ones():
     assert set(PRESETS) == {"sam", "sam2", "grouping"}
     for settings in PRESETS.values():
         assert len(all_masks(Drawn(), picture(), replace(settings, points=8)).masks) >= 1
@@ -146,7 +146,7 @@ def hard():
     [ellipses(60, 1), hard(), np.zeros((9, 40, 56), bool), np.zeros((0, 40, 56), bool)],
     ids=["ellipses", "hard", "empty", "none"],
 )
-def test_visible_as_pixel_by_pixel(masks, share):
+def test_mostly_visible_equals_count_pixel_by_pixel(masks, share):
     areas = masks.sum((1, 2))
     won = np.zeros(len(masks), int)
     for row, column in np.ndindex(masks.shape[1:]):

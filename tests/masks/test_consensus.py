@@ -62,7 +62,7 @@ THING, OTHER = (-0.3, 0.3, -0.4, 0.4, 3.0), (0.3, 0.9, -0.4, 0.4, 3.0)
 LONG = (-1.9, 1.9, -0.4, 0.4, 3.0)
 
 
-def test_halves_that_no_view_connects_stay_two_and_a_view_of_both_joins_them():
+def test_halves_of_object_are_joined_only_by_a_view_of_both():
     gap = Shown(-2.0, 2.0, -2.1).add({1: LONG}).add({1: LONG}).add({1: LONG})
     left, right, _ = gap.ids(1)
     assert left != right
@@ -76,7 +76,7 @@ def as_one(truth):
     return np.where(truth == 3, 2, truth)
 
 
-def test_views_that_part_two_things_outvote_one_that_joined_them():
+def test_views_that_split_two_objects_outvote_one_that_joins_them():
     cards = {1: THING, 2: OTHER}
     layout = Shown(*np.linspace(-0.3, 0.3, 7)).add(cards, as_one)
     for _ in range(6):
@@ -85,7 +85,7 @@ def test_views_that_part_two_things_outvote_one_that_joined_them():
     assert len(set(first)) == len(set(two)) == 1 and first[0] != two[0]
 
 
-def test_without_depth_the_tracker_has_the_last_word():
+def test_associate_without_depth_keeps_labels_of_tracker():
     class Still:
         """A tracker that copies the labels of the previous view."""
 
@@ -110,7 +110,7 @@ def room(seed=3, views=5):
 
 
 @cache
-def labelled(order, seed=3):
+def label_room(order, seed=3):
     """Labels of the views of a room, told in ``order`` and given in the room's own."""
     frames = [room(seed)[1][k] for k in order]
     labels = associate(frames, Regions(), GeometricTracker()).labels
@@ -125,13 +125,13 @@ def same_partition(a, b):
 
 
 @pytest.mark.parametrize("order", [(4, 3, 2, 1, 0), (2, 0, 4, 3, 1)])
-def test_the_order_of_views_does_not_matter(order):
+def test_labels_are_the_same_partition_in_any_order_of_views(order):
     # Where regions are cut differs with what was known before: 0.96 to 1 on other rooms.
-    assert same_partition(labelled((0, 1, 2, 3, 4)), labelled(order)) > 0.93
+    assert same_partition(label_room((0, 1, 2, 3, 4)), label_room(order)) > 0.93
 
 
 @pytest.mark.parametrize("place", [0, 2])
-def test_a_view_of_another_place_keeps_to_itself(place):
+def test_view_of_another_place_shares_few_labels_and_changes_no_others(place):
     frames = list(room()[1][:4])
     away = np.eye(4)
     away[0, 3] = 40.0
@@ -144,7 +144,7 @@ def test_a_view_of_another_place_keeps_to_itself(place):
     # Colours alone may carry an id to it while the tracker looks; the votes are none.
     shared = np.intersect1d(labels[place], rest)
     assert np.isin(labels[place], shared[shared > 0]).mean() < 0.35
-    assert same_partition(rest, labelled((0, 1, 2, 3))) > 0.93
+    assert same_partition(rest, label_room((0, 1, 2, 3))) > 0.93
 
 
 def plain_contraction(votes):
@@ -163,7 +163,7 @@ def plain_contraction(votes):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_contraction_is_as_the_plain_one(seed):
+def test_contract_equals_plain_contraction(seed):
     votes = np.random.default_rng(seed).normal(-0.2, 1, (25, 25))
     votes += votes.T
     expected = sorted(map(sorted, plain_contraction(votes)))
@@ -171,7 +171,7 @@ def test_contraction_is_as_the_plain_one(seed):
     assert sorted(np.flatnonzero(result == k).tolist() for k in np.unique(result)) == expected
 
 
-def test_atoms_are_labels_cut_by_regions_and_crumbs_join_the_largest():
+def test_atoms_are_labels_cut_by_regions_with_crumbs_in_the_largest():
     labels = np.zeros((1, 100, 100), np.int32)
     labels[0, :50], labels[0, 50:90] = 4, 7
     detected = np.zeros_like(labels)

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from slgaussian.masks import Proposals
-from slgaussian.masks.flatten import flatten, renumbered, without_crumbs
+from slgaussian.masks.flatten import flatten, without_crumbs
 
 
 def rectangles(*boxes, scores=None, size=(8, 10)):
@@ -15,7 +15,7 @@ def rectangles(*boxes, scores=None, size=(8, 10)):
     return Proposals(masks, np.asarray(scores, np.float32))
 
 
-def test_of_equally_large_masks_the_better_scored_is_on_top():
+def test_flatten_puts_better_scored_of_equally_large_masks_on_top():
     boxes = ((0, 4, 0, 4), (2, 6, 0, 4))
     assert flatten(rectangles(*boxes, scores=(0.9, 0.1)))[3, 0] == 2
     assert (flatten(rectangles(*boxes, scores=(0.9, 0.1))) == 2)[0:4, 0:4].all()
@@ -27,7 +27,7 @@ def test_of_equally_large_masks_the_better_scored_is_on_top():
     hnp.arrays(bool, st.tuples(st.integers(0, 5), st.integers(1, 6), st.integers(1, 6))),
     st.integers(0, 2**32 - 1),
 )
-def test_labels_cover_the_union_without_gaps_and_in_any_order(masks, seed):
+def test_flatten_covers_union_without_gaps_in_any_order_of_masks(masks, seed):
     areas_differ = np.argsort(np.random.default_rng(seed).random(len(masks)))
     proposals = Proposals(masks, np.linspace(0, 1, len(masks), dtype=np.float32))
     labels = flatten(proposals)
@@ -37,13 +37,7 @@ def test_labels_cover_the_union_without_gaps_and_in_any_order(masks, seed):
     np.testing.assert_array_equal(flatten(shuffled), labels)  # scores differ: no ties by index
 
 
-def test_renumbered_keeps_order_and_zero():
-    labels = np.array([[0, 7], [3, 900]], np.int32)
-    assert renumbered(labels).tolist() == [[0, 2], [1, 3]]
-    assert renumbered(np.zeros((2, 2), np.int32)).tolist() == [[0, 0], [0, 0]]
-
-
-def test_crumbs_and_small_holes_go_to_the_nearest_piece():
+def test_crumbs_and_small_holes_take_label_of_nearest_piece():
     labels = np.ones((100, 160), np.int32)  # a crumb is under 2 pixels here
     labels[:, 80:] = 2
     labels[50, 20] = 3
@@ -55,6 +49,6 @@ def test_crumbs_and_small_holes_go_to_the_nearest_piece():
     assert clean[80, 120] == 2 and (clean != labels).sum() == 3
 
 
-def test_an_image_of_crumbs_alone_is_left_as_it_is():
+def test_image_of_crumbs_alone_does_not_change():
     labels = np.arange(1, 90001, dtype=np.int32).reshape(300, 300)
     np.testing.assert_array_equal(without_crumbs(labels), labels)

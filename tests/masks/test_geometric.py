@@ -23,7 +23,7 @@ def room(baseline=0.6, seed=3):
     return [scene.read(name) for name in scene.cameras]
 
 
-def carried(old, new, depths):
+def propagate_labels(old, new, depths):
     tracker = load_tracker("geometric")
     tracker.add(SeenView(old, depths[0]), old.instances)
     return tracker.propagate(SeenView(new, depths[1]))
@@ -31,9 +31,9 @@ def carried(old, new, depths):
 
 @pytest.mark.parametrize("baseline", [0.6, 1.6])
 @pytest.mark.parametrize("swapped", [False, True])
-def test_labels_land_on_the_same_objects_however_far_the_views(baseline, swapped):
+def test_propagate_labels_same_objects_at_short_and_long_baseline(baseline, swapped):
     old, new = room(baseline)[:: -1 if swapped else 1]
-    labels = carried(old, new, [old.depth, new.depth])
+    labels = propagate_labels(old, new, [old.depth, new.depth])
     valid = labels > 0
     assert valid.mean() > 0.9
     assert (labels == new.instances)[valid].mean() > 0.96
@@ -71,7 +71,7 @@ def screen_and_wall(shift=0.4):
     return views, depths
 
 
-def test_equals_the_plain_rule():
+def test_reproject_equals_pixel_by_pixel_reprojection():
     """Reproject pixel by pixel, forward and backward, and measure the distance."""
     (a, b), depths = screen_and_wall(0.37)
     rng = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def test_equals_the_plain_rule():
     place = np.full(SIZE, -1)
     place.ravel()[new.pixels(1)[which]] = is_inside
 
-    def moved(row, column, depth, here, inside):
+    def reproject_pixel(row, column, depth, here, inside):
         ray = np.linalg.inv(here.K) @ (column + 0.5, row + 0.5, 1)
         point = inside.w2c @ np.append(here.c2w[:3, :3] @ ray * float(depth) + here.center, 1)
         pixel = inside.K @ point[:3]
@@ -92,10 +92,10 @@ def test_equals_the_plain_rule():
     for row, column in np.ndindex(SIZE):
         result = None
         if depths[1][row, column] > 0:
-            x, y = moved(row, column, depths[1][row, column], b.camera, a.camera)
+            x, y = reproject_pixel(row, column, depths[1][row, column], b.camera, a.camera)
             i, j = round(y), round(x)
             if 0 <= i < SIZE[0] and 0 <= j < SIZE[1] and depths[0][i, j] > 0:
-                back = moved(i, j, depths[0][i, j], a.camera, b.camera)
+                back = reproject_pixel(i, j, depths[0][i, j], a.camera, b.camera)
                 error = np.hypot(*(back - (column, row)))
                 if (
                     abs(error - AGREE_PIXELS) < 1e-6
@@ -109,13 +109,13 @@ def test_equals_the_plain_rule():
     assert 0.3 < (place >= 0).mean() < 0.9
 
 
-def test_a_view_without_depth_is_refused():
+def test_propagate_refuses_view_without_depth():
     old, new = room()
     with pytest.raises(InputError, match="found no predicted depth"):
-        carried(old, new, [None, None])
+        propagate_labels(old, new, [None, None])
 
 
-def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(monkeypatch):
+def test_propagate_matches_only_frames_of_greatest_overlap(monkeypatch):
     scene = reader.read(seed=3, height=104, width=144, views=10, baseline=2.0)
     views = [scene.read(each) for each in scene.cameras]
     tracker, calls = load_tracker("geometric"), []

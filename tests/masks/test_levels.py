@@ -15,7 +15,7 @@ def with_depth(observed, depths):
     return with_depths([first.view for first in observed], depths)
 
 
-def maps_of(*labels):
+def make_maps(*labels):
     labels = np.stack(labels).astype(np.int32)
     return LabelMaps(labels, np.ones(labels.shape, np.float32))
 
@@ -32,10 +32,10 @@ def halves():
         label[40:80, min(cut, 100) + shift : 100 + shift] = 9
         pictures.append(view(picture))
         labels.append(label)
-    return pictures, maps_of(*labels)
+    return pictures, make_maps(*labels)
 
 
-def test_pieces_of_one_thing_are_one_group_and_the_wall_is_another(halves):
+def test_group_objects_joins_pieces_of_one_thing_and_not_the_wall(halves):
     views, maps = halves
     assert (maps.areas() > 0).tolist() == [[1, 1], [1, 1], [1, 0]]
     flat = np.full(SIZE, 2.0, np.float32)
@@ -55,12 +55,12 @@ def test_pieces_of_one_thing_are_one_group_and_the_wall_is_another(halves):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.booleans())
-def test_groups_are_connected_partitions_whatever_they_show(seed, maximum, blank):
+def test_groups_of_random_labels_are_connected_partitions(seed, maximum, blank):
     rng = np.random.default_rng(seed)
     picture = np.full((*SIZE, 3), 90.0) if blank else rng.uniform(0, 255, (*SIZE, 3))
     coarse = rng.integers(0, maximum + 1, (2, 6, 8)) * 10
     labels = np.kron(coarse, np.ones((1, 20, 20), int))
-    maps = maps_of(*labels)
+    maps = make_maps(*labels)
     if len(maps.ids) == 0:
         return
     depth = rng.uniform(1, 3, SIZE).astype(np.float32)

@@ -50,14 +50,14 @@ def members_by_walking(tree):
 
 
 @given(trees, st.integers(0, 12))
-def test_places_tell_which_node_of_a_cut_holds_a_leaf(tree, maximum):
+def test_places_and_labels_name_node_of_cut_above_each_leaf(tree, maximum):
     nodes = tree.cut(0.6, maximum)
     np.testing.assert_array_equal(tree.places(nodes), members_by_walking(tree)[nodes].argmax(0))
     np.testing.assert_array_equal(tree.labels(nodes), tree.places(nodes)[tree.leaves] + 1)
 
 
 @given(trees)
-def test_members_are_the_leaves_below(tree):
+def test_members_of_node_are_the_leaves_below_it(tree):
     expected = members_by_walking(tree)
     np.testing.assert_array_equal(tree.members(), expected)
     shared = expected[:, None] & expected
@@ -112,7 +112,7 @@ def plain_cost(a, b, sums, cues):
 
 
 @pytest.mark.parametrize("cues", [Cues(), Cues(0.1, 0.4, 0.3, 0.5, 0.1)])
-def test_merging_equals_its_plain_reference(noise, cues):
+def test_build_tree_equals_plain_greedy_merging(noise, cues):
     """One view turned round, with a leaf that it does not show, and one without depth."""
     image, leaves, boundary, depth = noise
     check_merging(leaf_sums(image, leaves, boundary), cues)

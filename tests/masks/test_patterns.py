@@ -8,7 +8,7 @@ from slgaussian.masks.patterns import join_patterns
 FLOOR, RED, WHITE, BLUE = (150, 140, 90), (200, 40, 40), (235, 235, 235), (40, 60, 190)
 
 
-def drawn(*things):
+def draw(*things):
     """A picture and its true pieces, int32 from 0: boxes of one colour each on a floor."""
     picture, pieces = canvas(FLOOR, contrast=2), np.zeros(SIZE, np.int32)
     for number, (box, color) in enumerate(things, start=1):
@@ -39,41 +39,41 @@ def groups(image, pieces, depth=None):
 
 
 @pytest.mark.parametrize("size", [(4, 5), (1, 6), (6, 1), (2, 3)])
-def test_checks_and_stripes_are_one_thing_apart_from_the_floor(size):
-    floor, *pattern = groups(*drawn(*checks(*size, (RED, WHITE))))
+def test_checks_and_stripes_are_joined_without_the_floor(size):
+    floor, *pattern = groups(*draw(*checks(*size, (RED, WHITE))))
     assert len(set(pattern)) == 1 and floor not in pattern
 
 
 @pytest.mark.parametrize("size", [(1, 3), (5, 1), (2, 2)])
-def test_up_to_five_pieces_may_be_chance(size):
-    of = groups(*drawn(*checks(*size, (RED, WHITE))))
+def test_fewer_than_six_pieces_stay_separate(size):
+    of = groups(*draw(*checks(*size, (RED, WHITE))))
     assert len(set(of)) == len(of)
 
 
-def test_equal_things_set_on_a_floor_stay_apart():
+def test_equal_objects_on_a_floor_stay_separate():
     boxes = [(40, 60, left, left + 20) for left in (10, 50, 90, 130)]
-    of = groups(*drawn(*((box, RED) for box in boxes)))
+    of = groups(*draw(*((box, RED) for box in boxes)))
     assert len(set(of)) == len(of)
 
 
-def test_two_patterns_that_touch_and_share_a_colour_stay_two():
+def test_touching_patterns_with_a_common_colour_stay_two():
     red = checks(4, 4, (RED, WHITE), left=30)
     blue = checks(4, 4, (BLUE, WHITE), left=30 + 4 * 12)
-    _, *of = groups(*drawn(*red, *blue))
+    _, *of = groups(*draw(*red, *blue))
     assert len(set(of[:16])) == 1 and len(set(of[16:])) == 1
     assert of[0] != of[16]
 
 
-def test_a_check_cut_by_an_outline_goes_with_the_others():
+def test_check_cut_by_outline_joins_its_pattern():
     pattern = checks(3, 5, (RED, WHITE))
     (top, bottom, left, _), color = pattern[-1]
     pattern[-1] = (top, bottom, left, left + 3), color
-    floor, *of = groups(*drawn(*pattern))
+    floor, *of = groups(*draw(*pattern))
     assert len(set(of)) == 1 and floor not in of
 
 
-def test_stripes_at_different_depths_are_different_things():
-    image, pieces = drawn(*checks(1, 6, (RED, WHITE)))
+def test_stripes_at_different_depths_stay_separate():
+    image, pieces = draw(*checks(1, 6, (RED, WHITE)))
     flat = np.full(SIZE, 3.0, np.float32)
     assert len(set(groups(image, pieces, flat)[1:])) == 1
     fence = np.where(pieces % 2 == 1, 1.5, 3.0).astype(np.float32)
@@ -81,8 +81,8 @@ def test_stripes_at_different_depths_are_different_things():
     assert len(set(of)) == len(of)
 
 
-def test_pixels_outside_all_regions_stay_outside():
-    image, pieces = drawn(*checks(4, 4, (RED, WHITE)))
+def test_pixels_outside_regions_stay_outside():
+    image, pieces = draw(*checks(4, 4, (RED, WHITE)))
     pieces -= 1
     joined = join_patterns(SeenView.alone(image).view.lab, pieces)
     np.testing.assert_array_equal(joined < 0, pieces < 0)

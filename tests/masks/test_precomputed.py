@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from slgaussian.masks.configs import folder_digest
 from slgaussian.masks.precomputed import Precomputed
 
 
-def ids_of(top, seed=0, size=SIZE):
+def draw_ids(top, seed=0, size=SIZE):
     """Blocks of ids up to ``top``, with holes."""
     rng = np.random.default_rng(seed)
     coarse = rng.integers(1, top + 1, (size[0] // 8, size[1] // 8))
@@ -21,12 +22,8 @@ def ids_of(top, seed=0, size=SIZE):
     return np.kron(coarse, np.ones((8, 8), np.int64))
 
 
-def write_grey(file, ids):
-    Image.fromarray(ids.astype(np.uint8)).save(file)
-
-
-def write_16_bits(file, ids):
-    Image.fromarray(ids.astype(np.uint16)).save(file)
+def write_grey(file, ids, dtype=np.uint8):
+    Image.fromarray(ids.astype(dtype)).save(file)
 
 
 def write_palette(file, ids):
@@ -44,28 +41,28 @@ def write_colors(file, ids):
     ("write", "name", "top"),
     [
         (write_grey, "a.png", 255),
-        (write_16_bits, "a.png", 40_000),
+        (partial(write_grey, dtype=np.uint16), "a.png", 40_000),
         (write_palette, "a.png", 200),
         (write_colors, "a.png", 2**24 - 1),
         (np.save, "a.npy", 2**31 - 1),
     ],
 )
-def test_every_format_gives_the_ids_back(tmp_path, write, name, top):
-    ids = ids_of(top)
+def test_propagate_reads_ids_of_every_format(tmp_path, write, name, top):
+    ids = draw_ids(top)
     write(tmp_path / name, ids)
     result = load_tracker("precomputed", folder=tmp_path).propagate(view(canvas()))
     assert result.dtype == np.int32
     np.testing.assert_array_equal(result, ids)
 
 
-def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
+def test_associate_keeps_ids_and_holes_of_files_without_proposer(tmp_path):
     class Never:
         def propose(self, frame, mask=None):
             raise AssertionError
 
     views = [view(canvas()), view(canvas(seed=1), "sub/b.jpg")]
-    maps = [ids_of(700, seed) for seed in (0, 1)]
-    write_16_bits(tmp_path / "a.png", maps[0])
+    maps = [draw_ids(700, seed) for seed in (0, 1)]
+    write_grey(tmp_path / "a.png", maps[0], np.uint16)
     np.save(tmp_path / "b.npy", maps[1].astype(np.uint16))
     result = associate(views, Never(), Precomputed(folder=tmp_path))
     np.testing.assert_array_equal(result.labels, maps)
@@ -76,7 +73,7 @@ def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
     assert result.areas().sum() == (np.stack(maps) > 0).sum()
 
 
-def test_nested_names_go_before_bare_ones(tmp_path):
+def test_map_in_folder_of_view_goes_before_bare_name(tmp_path):
     (tmp_path / "left").mkdir()
     write_grey(tmp_path / "left" / "1.png", np.full(SIZE, 7))
     write_grey(tmp_path / "1.png", np.full(SIZE, 9))
@@ -90,21 +87,21 @@ def test_nested_names_go_before_bare_ones(tmp_path):
         tracker.propagate(right)
 
 
-def test_other_files_do_not_change_the_digest(tmp_path):
+def test_folder_digest_ignores_other_files(tmp_path):
     before = folder_digest(tmp_path)
     (tmp_path / "notes.txt").write_text("made elsewhere")
     assert folder_digest(tmp_path) == before
 
 
-def test_what_is_no_folder_is_refused(tmp_path):
+def test_missing_folder_raises_input_error(tmp_path):
     for settings, says in ({}, "none given"), ({"folder": tmp_path / "no"}, "there is no folder"):
         with pytest.raises(InputError, match=says):
             Precomputed(**settings)
 
 
 def _two_maps(file):
-    write_grey(file, ids_of(9))
-    np.save(file.with_suffix(".npy"), ids_of(9))
+    write_grey(file, draw_ids(9))
+    np.save(file.with_suffix(".npy"), draw_ids(9))
 
 
 @pytest.mark.parametrize(
@@ -125,7 +122,7 @@ def _two_maps(file):
         ("a.png", _two_maps, r"a\.npy is there too"),
     ],
 )
-def test_what_is_no_id_map_is_one_sentence(tmp_path, name, write, says):
+def test_invalid_id_map_is_refused_in_one_sentence(tmp_path, name, write, says):
     if name:
         write(tmp_path / name)
     with pytest.raises(InputError, match=says):

@@ -24,7 +24,7 @@ def iou(mask, box):
     return (mask & truth).sum() / (mask | truth).sum()
 
 
-def test_objects_are_disjoint_cover_the_image_and_are_scored(scene):
+def test_masks_are_disjoint_cover_image_and_have_scores(scene):
     proposals = Regions().propose(SeenView.alone(scene))
     assert (proposals.masks.sum(0) == 1).all()
     assert proposals.masks.any((1, 2)).all()
@@ -32,7 +32,7 @@ def test_objects_are_disjoint_cover_the_image_and_are_scored(scene):
     assert (proposals.scores >= 0).all() and (proposals.scores <= 1).all()
 
 
-def test_where_limits_the_search(scene):
+def test_propose_covers_only_given_region(scene):
     place = np.zeros(SIZE, bool)
     place[:, 80:] = True
     proposals = Regions().propose(SeenView.alone(scene), region=place)
@@ -43,13 +43,13 @@ def test_where_limits_the_search(scene):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 2), (37, 51)])
 @pytest.mark.parametrize("value", [0, 128, 255])
-def test_a_blank_image_is_one_region(size, value):
+def test_blank_image_is_one_region(size, value):
     proposals = Regions().propose(SeenView.alone(np.full((*size, 3), value, np.uint8)))
     assert proposals.masks.shape == (1, *size) and proposals.masks.all()
     assert proposals.scores.tolist() == [1]
 
 
-def test_depth_parts_what_colour_cannot():
+def test_depth_splits_objects_of_one_colour():
     image = view(canvas((130, 130, 130), contrast=2)).image
     depth = np.full(SIZE, 4.0, np.float32)
     depth[40:90, 50:110] = 2.0

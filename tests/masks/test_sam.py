@@ -17,7 +17,7 @@ from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import load_proposer
 from slgaussian.masks.configs import Automatic
-from slgaussian.masks.sam import normalised, pixel_values
+from slgaussian.masks.sam import normalise, pixel_values
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9)
@@ -48,7 +48,7 @@ def pillow_processor():
 
 
 @pytest.mark.parametrize("size", [(60, 80), (41, 97), (300, 200), (64, 64), (7, 500), (1, 1)])
-def test_sam_sees_what_the_processor_of_transformers_makes(size):
+def test_pixel_values_equal_processor_of_transformers(size):
     image = picture(size)
     processor = pillow_processor()
     expected = processor(image, return_tensors="pt", input_data_format="channels_last")
@@ -58,7 +58,7 @@ def test_sam_sees_what_the_processor_of_transformers_makes(size):
     torch.testing.assert_close(result, expected["pixel_values"], rtol=0, atol=1e-6)
 
 
-def test_sam_answers_what_transformers_answers(folders):
+def test_sam_masks_equal_those_of_transformers(folders):
     image, points = picture((48, 80)), [[10, 12], [70, 40], [33, 5]]
     proposer = load_proposer("sam", model=folders["sam"])
     processor = transformers.SamProcessor(pillow_processor())
@@ -80,14 +80,14 @@ def test_sam_answers_what_transformers_answers(folders):
     torch.testing.assert_close(large, masks[0].flatten(0, 1), rtol=1e-4, atol=1e-3)
 
 
-def test_sam2_answers_what_transformers_answers(folders):
+def test_sam2_masks_equal_those_of_transformers(folders):
     image, points = picture((48, 80)), np.array([[10.0, 12], [70, 40], [33, 5]])
     proposer = load_proposer("sam2", model=folders["sam2"])
     network = transformers.Sam2Model.from_pretrained(folders["sam2"])
     scaled = torch.from_numpy(points * [SIDE / 80, SIDE / 48]).float()
     with torch.no_grad():
         expected = network(
-            pixel_values=normalised(image, (SIDE, SIDE)), input_points=scaled[None, :, None]
+            pixel_values=normalise(image, (SIDE, SIDE)), input_points=scaled[None, :, None]
         )
         prompted = proposer.encode(image)
         logits, predicted = prompted.segment(points)
@@ -97,7 +97,7 @@ def test_sam2_answers_what_transformers_answers(folders):
 
 
 @pytest.mark.parametrize("name", SAVE)
-def test_a_model_is_loaded_once(folders, name, tmp_path):
+def test_model_is_loaded_once_for_the_same_content(folders, name, tmp_path):
     item, alternative = (
         load_proposer(name, model=folders[name], preset=p) for p in ("sam", "sam2")
     )
@@ -109,7 +109,7 @@ def test_a_model_is_loaded_once(folders, name, tmp_path):
 
 
 @pytest.mark.parametrize("name", SAVE)
-def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
+def test_image_is_encoded_once_for_consecutive_calls(folders, name, monkeypatch):
     proposer = load_proposer(name, model=folders[name], preset=LENIENT)
     mask = np.zeros((60, 80), bool)
     mask[:30] = True
@@ -127,7 +127,7 @@ def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
 
 
 @pytest.mark.parametrize("name", SAVE)
-def test_settings_of_the_proposer(folders, name):
+def test_proposer_obeys_level_region_points_and_presets(folders, name):
     def propose(mask=None, **settings):
         return load_proposer(name, model=folders[name], **settings).propose(seen_view(), mask)
 
@@ -151,13 +151,13 @@ def test_settings_of_the_proposer(folders, name):
         ("sam", {"model": "sam", "device": "tpu"}, "sam device 'tpu': cannot be used"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(folders, name, settings, says):
+def test_unusable_model_or_setting_is_refused_in_one_sentence(folders, name, settings, says):
     settings = {k: folders.get(v, v) if k == "model" else v for k, v in settings.items()}
     with pytest.raises(InputError, match=says):
         load_proposer(name, **settings)
 
 
-def test_a_model_in_parts_is_whole(folders, tmp_path):
+def test_model_in_shards_equals_model_in_one_file(folders, tmp_path):
     network = transformers.SamModel.from_pretrained(folders["sam"])
     network.save_pretrained(tmp_path, max_shard_size="60KB")
     assert len(list(tmp_path.glob("model-*.safetensors"))) > 1

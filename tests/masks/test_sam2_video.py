@@ -7,7 +7,7 @@ import pytest
 import torch
 import transformers
 from drawn_views import SIZE, canvas, paste, view
-from small_models import SIDE, sam2_config, save_sam2
+from small_models import SIDE, draw_weights, sam2_config, save_sam2
 
 from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
@@ -40,13 +40,9 @@ def save_sam2_video(folder: Path) -> Path:
         memory_fuser_intermediate_dim=32,
     )
     model = transformers.Sam2VideoModel(config)
-    state = torch.Generator().manual_seed(1)
-    for name, tensor in sorted(model.named_parameters()):
-        if tensor.ndim > 1:
-            spread = tensor[0].numel() ** -0.5
-            tensor.data.copy_(torch.randn(tensor.shape, generator=state) * spread)
-        if "pred_obj_score_head.proj_out.bias" in name:
-            tensor.data.fill_(3.0)  # objects are there, or all masks would be empty
+    draw_weights(model)
+    bias = dict(model.named_parameters())["mask_decoder.pred_obj_score_head.proj_out.bias"]
+    bias.data.fill_(3.0)  # objects are there, or all masks would be empty
     model.save_pretrained(folder)
     return folder
 
@@ -66,7 +62,7 @@ def labels():
     return drawn
 
 
-def test_it_carries_known_ids_only_whatever_the_batches(folder):
+def test_propagate_returns_known_ids_for_any_batch(folder):
     answers = []
     for batch in (1, 3, 16):
         tracker = load_tracker("sam2-video", model=folder, batch=batch, device="cpu")
@@ -79,7 +75,7 @@ def test_it_carries_known_ids_only_whatever_the_batches(folder):
     np.testing.assert_array_equal(answers[0], answers[2])
 
 
-def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
+def test_objects_are_tracked_from_all_frames_that_show_them(folder):
     tracker = Sam2Video(model=folder, device="cpu")
     tracker.add(view(canvas()), labels())
     first = tracker.propagate(view(canvas(seed=2)))
@@ -93,7 +89,7 @@ def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
     assert set(np.unique(carried)) <= {0, *np.unique(labels()), 71_000}
 
 
-def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lowest_id(folder):
+def test_pixel_takes_largest_positive_logit_and_lowest_id_of_equals(folder):
     class Fixed(Sam2Video):
         def _track(self, features):
             grid = torch.full((4, 4), -1.0)
@@ -106,7 +102,7 @@ def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lo
     assert (result[:50] == 400).all() and not result[75:].any()
 
 
-def test_the_whole_association_with_copies(folder):
+def test_associate_computes_one_copy_and_equals_all_copies(folder):
     picture = canvas((140, 140, 140))
     paste(picture, (20, 60, 20, 70), (200, 40, 40), 1)
     views = [view(picture), view(picture + 3, "b")]
@@ -128,12 +124,11 @@ def test_the_whole_association_with_copies(folder):
     assert (maps.margin < 1).any()  # its copies differ from the detection
 
 
-def test_what_cannot_be_used_is_one_sentence(folder, tmp_path):
+def test_unusable_model_or_batch_is_refused_in_one_sentence(folder, tmp_path):
     images = save_sam2(tmp_path / "sam2")
     for inputs, says in [
         ({"model": folder, "batch": 0}, "sam2-video batch: found 0"),
         ({}, "sam2-video model: none given"),
-        ({"model": tmp_path / "nowhere"}, "there is no such folder"),
         ({"model": images}, "is of type 'sam2', but sam2-video needs 'sam2_video'"),
     ]:
         with pytest.raises(InputError, match=says):

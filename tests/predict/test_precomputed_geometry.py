@@ -11,7 +11,7 @@ from textured_planes import Plane, camera, sample
 
 from slgaussian.build import predict
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.components.component import Component
+from slgaussian.components.registry import configure
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
@@ -235,7 +235,7 @@ def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
     confidence[:, :40] = sure[0]
     confidence += 1e-3 * np.random.default_rng(1).random(depth.shape)
     place = saved(tmp_path, depth=depth, conf=confidence)
-    settings = Component.of("predictor", "precomputed", {"geometry": place})
+    settings = configure("predictor", "precomputed", {"precomputed": {"geometry": place}})
     gaussians = predict(steep, MatchGraph.of(steep.context), settings, 0).gaussians
     arrays = gaussians.to_arrays()
     row = arrays["source"] // steep.context[0].camera.width % steep.context[0].camera.height

@@ -30,14 +30,14 @@ GROUP = "slgaussian.methods"
 """Entry-point group of methods from other packages."""
 
 
-class Method(Protocol):
+class Baseline(Protocol):
     """A method: a callable that prepares a scene for answering texts."""
 
     def __call__(self, inputs: Inputs) -> Answering:
         """Prepare the scene; InputError if the encoder or the proposer is not suitable."""
 
 
-def load_method(name: str, **settings: Any) -> Method:
+def load_method(name: str, **settings: Any) -> Baseline:
     """Make the method ``name``.
 
     Raises:
@@ -64,7 +64,7 @@ class Row:
     rules: Mapping[str, Any] = field(default_factory=dict)
     variant: bool = False
 
-    def load(self) -> Method:
+    def load(self) -> Baseline:
         """Make the method; raises as :func:`load_method`."""
         return load_method(self.method, **self.settings)
 

@@ -8,7 +8,7 @@ import pytest
 
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.answering import Answering, AnsweringView, Reader, Result
-from slgaussian.benchmark.baselines import ROWS, Method, load_method
+from slgaussian.benchmark.baselines import ROWS, Baseline, load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.components import method as parts_method
 from slgaussian.errors import InputError
@@ -24,7 +24,7 @@ LEAST_IOU = {"no-association": 0.3, "langsplat-like": 0.6}
 """With :data:`PLAIN`; 0.7 where nothing is said. Each is 0.15 or more below what was measured."""
 
 
-def load_quick(name: str) -> Method:
+def load_quick(name: str) -> Baseline:
     """Load a method with settings that take little time and run the same code."""
     row = ROWS[name]
     quick = {"steps": 200} if row.method == "langsplat-like" else {}
