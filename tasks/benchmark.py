@@ -16,7 +16,7 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.reports.examples import Scene
 from slgaussian.benchmark.reports.run_report import run_report
-from slgaussian.benchmark.scores import GOOD_IOU
+from slgaussian.benchmark.scores import GOOD_IOU, Rows
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
@@ -183,8 +183,7 @@ def report(
     It contains no timings, so that it is reproducible.
     """
     report_scenes = [_report_scene(run.store, scored) for scored in scenes]
-    tables = [run.store.get(scored.attribution) for scored in scenes]
-    lost = [row for table in tables for row in table.to_pylist()]
+    lost = Rows.join((Rows(run.store.get(scored.attribution)) for scored in scenes), "attribution")
     page = run_report(report_scenes, manifest, failures, lost)
     forms = {"html": page.as_html(), "markdown": page.as_markdown()}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
@@ -193,11 +192,11 @@ def report(
 
 def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
     refs = [scored.answer, *scored.others.values()]
-    ours, *baselines = (result_from_arrays(store.get(ref)) for ref in refs)
+    ours, *others = (result_from_arrays(store.get(ref)) for ref in refs)
     return Scene(
         name=scored.scene,
         dataset=ours.dataset,
-        rows=[row for result in (ours, *baselines) for row in result.rows],
+        rows=Rows.of(row for result in (ours, *others) for row in result.rows),
         metrics=ours.scene_metrics,
         pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,

@@ -43,7 +43,6 @@ def score(
     from slgaussian.benchmark.reports.terminal import methods_text
 
     scores = scoring.score(settings, predictions, protocols or [], out)
-    rows = [row for result in scores.results for row in result.rows]
     notes, masks = [*scores.messages], scores.predictions
     if masks.missing:
         notes.append(
@@ -54,7 +53,7 @@ def score(
         notes.append(f"not queried, left out: {_first_names(masks.unused)}")
     for note in notes:
         typer.echo(note, err=True)
-    typer.echo(f"{methods_text(rows)}\n{out}")
+    typer.echo(f"{methods_text(scores.samples)}\n{out}")
 
 
 def compare(

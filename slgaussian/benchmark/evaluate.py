@@ -67,7 +67,7 @@ class SceneResult:
     """
 
     scene: str
-    rows: list[dict[str, Any]]
+    rows: Sequence[Mapping[str, Any]]
     scene_metrics: dict[str, float]
     predictions: dict[tuple[str, str, str], np.ndarray]
     pictures: dict[str, np.ndarray]

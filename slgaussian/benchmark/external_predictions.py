@@ -34,7 +34,7 @@ from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult, score_frame
 from slgaussian.benchmark.outputs import file_name, read_masks
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, ScoringProtocol
-from slgaussian.benchmark.scores import of_first_protocol, scene_means
+from slgaussian.benchmark.scores import scene_means
 from slgaussian.checks import matching, name_parts, namesakes
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
@@ -212,7 +212,8 @@ def score_predictions(
                     rows.append(row)
                     if mask is not None:
                         masks[row["protocol"], frame, row["query"]] = mask
-            means = scene_means(of_first_protocol(rows))
+            leading = [row for row in rows if row["protocol"] == rows[0]["protocol"]]
+            means = scene_means(leading)
             yield SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
     if empty := list(dict.fromkeys(predictions.empty)):
         warnings.warn(

@@ -12,6 +12,7 @@ from slgaussian.benchmark.reports.comparison import (
     rank_methods,
     read_run,
 )
+from slgaussian.benchmark.scores import Rows
 from slgaussian.errors import InputError, SpecError
 
 MANIFEST = {
@@ -24,7 +25,7 @@ MANIFEST = {
 def leave(folder: Path, result, change=lambda row: row, manifest=MANIFEST) -> Path:
     """Write the output folder of a run, with changed rows; a row that becomes None is left out."""
     rows = [change(dict(row)) for row in result.rows]
-    write_samples([row for row in rows if row is not None], folder)
+    write_samples(Rows.of(row for row in rows if row is not None), folder)
     write_file(folder / "manifest.json", json.dumps(manifest).encode())
     return folder
 

@@ -17,6 +17,7 @@ from slgaussian.benchmark.outputs import (
     write_masks,
     write_samples,
 )
+from slgaussian.benchmark.scores import Rows
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import rle
 
@@ -75,4 +76,4 @@ def test_file_names_are_safe_and_differ():
 def test_an_unwritable_place_is_named(tmp_path, result):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):
-        write_samples(result.rows, tmp_path / "file")
+        write_samples(Rows.of(result.rows), tmp_path / "file")

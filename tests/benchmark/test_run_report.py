@@ -12,7 +12,7 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.reports.examples import Scene, choose_example, worst_answers
 from slgaussian.benchmark.reports.model import Report, plain
 from slgaussian.benchmark.reports.run_report import run_report, with_times
-from slgaussian.benchmark.scores import score_table
+from slgaussian.benchmark.scores import Rows, score_table
 from slgaussian.language.wholes import NEAR_BEST
 from slgaussian.storage.specs import load_spec
 
@@ -29,7 +29,7 @@ def scene_of(result: SceneResult, truth, *rivals, name: str = "") -> Scene:
     name = name or result.scene
     rows = [{**row, "scene": name} for rows in (result.rows, *rivals) for row in rows]
     data = (lambda: result.pictures), (lambda: truth), (lambda: result.predictions)
-    return Scene(name, result.dataset, rows, result.scene_metrics, *data)
+    return Scene(name, result.dataset, Rows.of(rows), result.scene_metrics, *data)
 
 
 def make_report(result, truth) -> Report:
@@ -80,7 +80,9 @@ def test_both_forms_have_the_numbers_and_their_conditions(both, result):
 def test_seconds_are_appended_and_change_nothing_else(both, result):
     pages = {"html": both.as_html(), "md": both.as_markdown()}
     cost = Cost(result.dataset, "slgaussian", view_query=0.1234, build=12.3)
-    complete = with_times(pages, Times({}, {"machine": "a machine"}, costs=[cost]), result.rows)
+    complete = with_times(
+        pages, Times({}, {"machine": "a machine"}, costs=[cost]), Rows.of(result.rows)
+    )
     assert complete["md"].startswith(pages["md"]) and "0.1234" in complete["md"]
     page = Page(complete["html"])
     assert "0.1234" in page.text and page.text.index("a machine") > page.text.index("Configuration")
@@ -104,7 +106,9 @@ def test_nothing_is_off_the_screen_of_a_telephone(width, result, truth, browser,
     costs = [Cost(result.dataset, name, 0.5, 0.1, 0.2, 2.0, 9) for name in methods]
     times = Times({}, {"machine": "a machine " * 20}, costs)
     file = tmp_path / "report.html"
-    file.write_text(with_times({"html": page}, times, [*result.rows, *rival])["html"], "utf-8")
+    file.write_text(
+        with_times({"html": page}, times, Rows.of([*result.rows, *rival]))["html"], "utf-8"
+    )
     with browser.open(file.as_uri(), width) as tab:
         assert tab.evaluate(OFF_SCREEN) == []
         assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
@@ -117,7 +121,7 @@ def test_the_stage_that_lost_a_query_is_named_beside_it(result, truth):
     ious = [name for name in load_spec("attribution").columns if name.endswith("iou")]
     question = {name: worst[name] for name in ("dataset", "scene", "frame", "query")}
     row = {**question, **dict.fromkeys(ious, 0.25), "lost": "language"}
-    report = run_report([scene_of(result, truth)], MANIFEST, (), [row])
+    report = run_report([scene_of(result, truth)], MANIFEST, (), Rows.of([row], "attribution"))
     assert "lost by language" in Page(report.as_html()).text
     table = next(t for t in tables_of(report.as_markdown()) if t[0][0] == "Responsible stage")
     assert [line[:3] for line in table[1:]] == [["language", "1", "0.250"], ["all", "1", "0.250"]]
@@ -158,10 +162,10 @@ def test_the_worst_answers_are_few_of_a_scene_and_a_query_is_one_of_them_once():
         return {"scene": scene, "frame": frame, "query": query, "iou": iou, **hits}
 
     rows = [row("a", "near", 0.0), row("a", "lost", 0.0, False), row("a", "none", None)]
-    assert [answer["query"] for answer in worst_answers(rows, 8, 2)] == ["lost", "near"]
+    assert [answer["query"] for answer in worst_answers(Rows.of(rows), 8, 2)] == ["lost", "near"]
     rows = [row("a", str(k), 0.1 * k) for k in range(6)]
     rows += [row("a", "0", 0.0, frame="g"), row("b", "q", 0.05), row("c", "q", 0.5)]
-    worst = [(answer["scene"], answer["query"]) for answer in worst_answers(rows, 4, 2)]
+    worst = [(answer["scene"], answer["query"]) for answer in worst_answers(Rows.of(rows), 4, 2)]
     assert worst == [("a", "0"), ("b", "q"), ("a", "1"), ("c", "q")]
 
 

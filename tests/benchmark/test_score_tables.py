@@ -5,7 +5,7 @@ import pytest
 from rows import sample
 
 from slgaussian.benchmark.reports.score_tables import difference_tables, method_tables
-from slgaussian.benchmark.scores import differences
+from slgaussian.benchmark.scores import Rows, differences
 
 
 def rows_of(method: str, *ious: float, places=None, **columns) -> list[dict]:
@@ -19,7 +19,7 @@ def rows_of(method: str, *ious: float, places=None, **columns) -> list[dict]:
 
 def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
     rows = rows_of("c", 0.4994) + rows_of("a", 0.50004) + rows_of("b", 0.5, share=0.5)
-    (table,) = method_tables(rows)
+    (table,) = method_tables(Rows.of(rows))
     assert [(row[0].value, row[1].value, row[1].mark) for row in table.rows] == [
         ("a", "0.500", "best"),
         ("b", "0.500", "best"),
@@ -32,13 +32,13 @@ def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
 def test_data_sets_and_protocols_are_apart():
     other = {"protocol": "3d-ovs@2", "accuracy": 0.5}
     rows = rows_of("a", None, **other) + rows_of("a", 0.5) + rows_of("a", 0.7, dataset="e")
-    tables = method_tables(rows)
+    tables = method_tables(Rows.of(rows))
     assert [(table.title, table.columns[1].title) for table in tables] == [
         ("d, protocol slgaussian@2", "IoU"),
         ("e, protocol slgaussian@2", "IoU"),
         ("d, protocol 3d-ovs@2", "Accuracy"),
     ]
-    assert method_tables([]) == []
+    assert method_tables(Rows.of([])) == []
 
 
 STEADY = np.array([0.01, -0.01, 0.02, 0.0, -0.02, 0.01, 0.0, -0.01])

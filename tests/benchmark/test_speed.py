@@ -11,6 +11,7 @@ from pages import Page, tables_of
 from slgaussian.benchmark.costs import Cost, StageCost, Times
 from slgaussian.benchmark.reports.model import Section, append_section
 from slgaussian.benchmark.reports.speed import pareto_front, speed_blocks
+from slgaussian.benchmark.scores import Rows
 
 STEPS = st.integers(0, 4)  # few, so that many are equal
 
@@ -34,7 +35,8 @@ def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):
         ],
         "slgaussian",
     )
-    rows = [*result.rows, *({**row, "method": other, "iou": 0.0} for row in result.rows)]
+    others = ({**row, "method": other, "iou": 0.0} for row in result.rows)
+    rows = Rows.of([*result.rows, *others])
     section = Section("Speed", speed_blocks(times, rows, [(name, "slgaussian", 20.0)]), "times")
     text = append_section("# Report\n", "md", section)
     scores, paper, stages, machine = tables_of(text)

@@ -20,7 +20,7 @@ from slgaussian.benchmark.reports.score_tables import (
     method_tables,
     scores_of,
 )
-from slgaussian.benchmark.scores import differences, grouped, sample_key
+from slgaussian.benchmark.scores import Rows, differences, sample_key
 from slgaussian.errors import InputError
 from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
@@ -41,13 +41,13 @@ class Run:
     """Samples of a run, and its manifest, which may be empty."""
 
     folder: Path
-    rows: list[Row]
+    rows: Rows
     manifest: Mapping[str, Any]
 
     @property
-    def by_method(self) -> dict[str, list[Row]]:
+    def by_method(self) -> dict[str, Rows]:
         """Return the samples of each method, ours first."""
-        return {method: rows for (method,), rows in grouped(self.rows, "method").items()}
+        return {name: self.rows.where(method=name) for name in self.rows.values("method")}
 
 
 def read_run(folder: str | Path) -> Run:
@@ -70,7 +70,7 @@ def read_run(folder: str | Path) -> Run:
     if not isinstance(manifest, dict):
         raise InputError(f"{manifest_file}: found no JSON object; run the benchmark again")
     samples = decode_table(data, load_spec("samples"), str(file), "run it again")
-    return Run(folder, samples.to_pylist(), manifest)
+    return Run(folder, Rows(samples), manifest)
 
 
 def compare_runs(runs: Sequence[Run]) -> model.Report:
@@ -144,7 +144,7 @@ def list_losses(runs: Sequence[Run], rows: Sequence[Row], most: float) -> list[s
         InputError: If none decides for a run, as it has no scored query in common with the first.
     """
     first, *later = runs
-    expected = {row["scene"] for row in first.rows}
+    expected = set(first.rows.values("scene"))
     lost = []
     for run in later:
         deciding = [row for row in rows if row["decides"] and row["run"] == str(run.folder)]
@@ -153,7 +153,7 @@ def list_losses(runs: Sequence[Run], rows: Sequence[Row], most: float) -> list[s
                 f"compare: {run.folder} has no scored query in common with {first.folder}, so "
                 "nothing is checked; give runs of the same scenes, queries and size"
             )
-        if absent := sorted(expected - {row["scene"] for row in run.rows}):
+        if absent := sorted(expected - set(run.rows.values("scene"))):
             names = ", ".join(absent[:MAX_LISTED])
             lost.append(f"{run.folder}: lacks {len(absent)} of {len(expected)} scenes, as {names}")
         for row in deciding:
@@ -180,7 +180,7 @@ def _runs_table(named: Mapping[str, Run]) -> model.Table:
             theirs = {sample_key(row): row for row in baseline}
             pairs += [(row, theirs[key]) for row in mine if (key := sample_key(row)) in theirs]
         changed = sum({**a, "method": ""} != {**b, "method": ""} for a, b in pairs)
-        scenes = len({row["scene"] for row in run.rows})
+        scenes = len(run.rows.values("scene"))
         counts = (scenes, len(run.by_method), len(run.rows), len(pairs), changed)
         rows.append([letter, str(run.folder), *map(str, counts)])
     folder = model.Column("Folder", is_text=True)
@@ -188,7 +188,7 @@ def _runs_table(named: Mapping[str, Run]) -> model.Table:
     return model.Table(heads, rows)
 
 
-def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
+def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, Rows, Rows]]:
     """Pair the samples of each common method; without one, those of their first methods."""
     earlier, later = first.by_method, second.by_method
     shared = [name for name in earlier if name in later]
@@ -227,10 +227,10 @@ def rank_methods(named: Mapping[str, Run]) -> list[model.Table]:
     For each data set, only runs that contain it are used. A scene is used if its ground truth is
     equal, as far as the manifests record it.
     """
-    by_dataset: dict[str, dict[str, list[Row]]] = {}
+    by_dataset: dict[str, dict[str, Rows]] = {}
     for letter, run in named.items():
-        for (dataset,), rows in grouped(run.rows, "dataset").items():
-            by_dataset.setdefault(dataset, {})[letter] = rows
+        for dataset in run.rows.values("dataset"):
+            by_dataset.setdefault(dataset, {})[letter] = run.rows.where(dataset=dataset)
     common: list[Row] = []
     for by_run in by_dataset.values():
         truths: dict[str, set[str]] = {}
@@ -244,4 +244,4 @@ def rank_methods(named: Mapping[str, Run]) -> list[model.Table]:
             for row in rows
             if sample_key(row) in shared and len(truths.get(row["scene"], ())) < 2
         ]
-    return method_tables(common)
+    return method_tables(Rows.of(common))

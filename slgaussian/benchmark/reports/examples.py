@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from slgaussian.benchmark import pictures
 from slgaussian.benchmark.evaluate import RENDERED_VIEWPOINTS
 from slgaussian.benchmark.reports.model import Block, Card, Fold, Gallery, Picture, Section
-from slgaussian.benchmark.scores import GOOD_IOU, grouped, key_of
+from slgaussian.benchmark.scores import GOOD_IOU, Rows, grouped
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
@@ -52,7 +53,7 @@ class Scene:
 
     name: str
     dataset: str
-    rows: Sequence[Row]
+    rows: Rows
     metrics: Mapping[str, float]
     pictures: Callable[[], Images]
     truth: Callable[[], Mapping[str, Images]]
@@ -156,17 +157,21 @@ def _draw_masks(
     return pictures.draw_regions(large, regions, FONT_SIZE)
 
 
-def worst_answers(rows: Sequence[Row], count: int, per_scene: int) -> list[Row]:
+def worst_answers(rows: Rows, count: int, per_scene: int) -> list[Row]:
     """Return the scored rows of lowest IoU, wrong points first, at most a few per scene.
 
     A query occurs once per scene. Without scores any rows are returned.
     """
-    scored = [row for row in rows if row["iou"] is not None] or list(rows)
-    scored.sort(key=lambda row: (row["iou"] or 0, bool(row["hit_mask"]), bool(row["hit_box"])))
-    queries: dict[str, dict[str, Row]] = {}
-    for row in scored:
-        of_scene = queries.setdefault(row["scene"], {})
-        if len(of_scene) < per_scene:
-            of_scene.setdefault(row["query"], row)
-    chosen = {key_of(row) for of_scene in queries.values() for row in of_scene.values()}
-    return [row for row in scored if key_of(row) in chosen][:count]
+    rows = rows.known("iou") or rows
+    badness = [(row["iou"] or 0, bool(row["hit_mask"]), bool(row["hit_box"])) for row in rows]
+    worst: list[Row] = []
+    queries: dict[str, set[str]] = defaultdict(set)
+    for place in sorted(range(len(rows)), key=badness.__getitem__):
+        row = rows[place]
+        scene_queries = queries[row["scene"]]
+        if len(scene_queries) < per_scene and row["query"] not in scene_queries:
+            scene_queries.add(row["query"])
+            worst.append(row)
+            if len(worst) == count:
+                break
+    return worst

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.benchmark.reports import model
-from slgaussian.benchmark.scores import Difference, differences, grouped, score_table
+from slgaussian.benchmark.scores import Difference, Rows, differences, grouped, score_table
 from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES, Comparison
 
 Row = Mapping[str, Any]
@@ -70,7 +70,7 @@ def scores_of(protocol: str) -> tuple[Score, ...]:
     return SCORES[protocol.partition("@")[0]]
 
 
-def method_tables(samples: Sequence[Row], ours: str = "") -> list[model.Table]:
+def method_tables(samples: Rows, ours: str = "") -> list[model.Table]:
     """Return a table for each data set and protocol: a row per method, best first.
 
     Scores that no method has are left out. Notes name the methods with other settings than most.
@@ -131,14 +131,13 @@ def _present(protocol: str, by_name: Mapping[str, Mapping[str, Any]]) -> list[Sc
     return [s for s in scores_of(protocol) if any(s.metric in of for of in by_name.values())]
 
 
-def _gains(samples: Sequence[Row], ours: str) -> dict[tuple[str, ...], Difference]:
+def _gains(samples: Rows, ours: str) -> dict[tuple[str, ...], Difference]:
     """Return our differences to each other method by data set, protocol, method and metric."""
-    by_method = {method: rows for (method,), rows in grouped(samples, "method").items()}
     return {
         (gain.dataset, gain.protocol, method, gain.metric): gain
-        for method, rows in by_method.items()
+        for method in samples.values("method")
         if ours and method != ours
-        for gain in differences(by_method[ours], rows)
+        for gain in differences(samples.where(method=ours), samples.where(method=method))
     }
 
 
@@ -153,7 +152,7 @@ def fold_protocols(
 
 
 def difference_tables(
-    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]],
+    pairs: Mapping[str, tuple[Iterable[Row], Iterable[Row]]],
 ) -> list[model.Table]:
     """Return a table for each data set and protocol: a row per pair, first minus second.
 

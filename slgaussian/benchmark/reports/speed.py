@@ -16,7 +16,7 @@ from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.reports.figures import MUTED_COLOUR, svg_picture
 from slgaussian.benchmark.reports.model import Block, Column, Prose, Table, number
 from slgaussian.benchmark.reports.score_tables import score_cell
-from slgaussian.benchmark.scores import of_first_protocol, score_table
+from slgaussian.benchmark.scores import Rows, score_table
 
 Row = Mapping[str, Any]
 
@@ -41,25 +41,21 @@ FIGURE_SIZE, LEGEND_ROW = (5.2, 3.4), 0.21
 """Size of a figure without its legend, and height of a row of the legend, inches."""
 
 
-def speed_blocks(
-    times: Times, rows: Sequence[Row], novel: Sequence[tuple[str, str, float]]
-) -> list[Block]:
+def speed_blocks(times: Times, rows: Rows, novel: Sequence[tuple[str, str, float]]) -> list[Block]:
     """Return the blocks on the costs of a run.
 
     ``rows`` are of the spec ``samples``; their scores by the first protocol are compared with the
     times. ``novel`` are (data set, method, PSNR of held-out views in dB), one per scene.
     """
-    leading = of_first_protocol(rows)
     ious = {
         (score["dataset"], score["method"]): score
-        for score in score_table(leading).to_pylist()
+        for score in score_table(rows.leading).to_pylist()
         if score["metric"] == "iou"
     }
     blocks: list[Block] = [Prose("Only this section changes if a run is repeated.")]
     for dataset in dict.fromkeys(cost.dataset for cost in times.costs):
-        sizes = dict.fromkeys(
-            f"{row['height']} x {row['width']}" for row in leading if row["dataset"] == dataset
-        )
+        samples = rows.leading.where(dataset=dataset)
+        sizes = dict.fromkeys(f"{row['height']} x {row['width']}" for row in samples)
         title = f"{dataset}, evaluated at {', '.join(sizes)} pixels (height x width)"
         costs = [cost for cost in times.costs if cost.dataset == dataset]
         scores = {cost.method: ious.get((dataset, cost.method)) for cost in costs}

@@ -8,7 +8,7 @@ from typing import Any
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.reports.model import count_text, plain
 from slgaussian.benchmark.reports.score_tables import conditions, method_tables, metrics_table
-from slgaussian.benchmark.scores import of_first_protocol, score_table
+from slgaussian.benchmark.scores import Rows, score_table
 
 
 def scenes_text(results: Sequence[SceneResult]) -> str:
@@ -17,8 +17,8 @@ def scenes_text(results: Sequence[SceneResult]) -> str:
     for dataset in dict.fromkeys(result.dataset for result in results):
         members = [result for result in results if result.dataset == dataset]
         first = [result for result in members if result.method == members[0].method]
-        rows = of_first_protocol([row for result in members for row in result.rows])
-        scores = score_table([row for row in rows if row["method"] == first[0].method]).to_pylist()
+        rows = Rows.join(result.rows for result in members).leading
+        scores = score_table(rows.where(method=first[0].method)).to_pylist()
         text = metrics_table({r.scene: r.scene_metrics for r in first}, scores).as_text()
         blocks.append(f"{text}\n{_conditions_text(scores[0])}" if scores else text)
         if rows and len(first) < len(members):
@@ -26,7 +26,7 @@ def scenes_text(results: Sequence[SceneResult]) -> str:
     return "\n\n".join(blocks)
 
 
-def methods_text(samples: Sequence[Mapping[str, Any]]) -> str:
+def methods_text(samples: Rows) -> str:
     """Tabulate samples: one table per data set and protocol, one line per method."""
     tables = method_tables(samples)
     texts = ("\n".join([t.title, t.as_text(), *map(plain, t.notes)]) for t in tables)
