@@ -263,9 +263,9 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
         for _, ref, seconds in computed.answers:
             arrays = store.get(ref)
             result = result_from_arrays(arrays)
-            results.append(replace(result, rows=Rows.of(result.rows)))
+            results.append(replace(result, rows=Rows.from_rows(result.rows)))
             answers = ({**row, "build_seconds": seconds} for row in ref.meta["costs"])
-            parts.append(Rows.of(answers, "times"))
+            parts.append(Rows.from_rows(answers, "times"))
             yield result.method, result.scene, predictions_of(arrays)
 
     write_masks(masks(), out)

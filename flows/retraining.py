@@ -187,7 +187,7 @@ def learn(
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
-    recorded = read_split(settings.models) or _earlier_split(table, incumbent)
+    recorded = read_split(settings.models) or _earlier_places(table, incumbent)
     views = settings.out / corpus.FILES["views"]
     lessons = part_lessons(table, views, settings.held_out, recorded, settings.models)
     split = lessons.split
@@ -209,7 +209,7 @@ def learn(
     learnt_clips = sorted(map(mark_clip, lessons.learnt["clip"].unique().to_pylist()))
     facts: dict[str, Any] = {"asked": requested, "counts": lessons.counts(), "scores": scores}
     facts |= {"learnt_clips": learnt_clips, "split": split.digest}
-    added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
+    added = versions.add(trained.weights, facts, decision.better, decision.reason, incumbent)
     if added.promoted:
         return Learnt(f"version {added.number} promoted: {added.why}", added, split)
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
@@ -217,7 +217,7 @@ def learn(
     return Learnt(message, added, split, regressed)
 
 
-def _earlier_split(table: pa.Table, incumbent: Version | None) -> list[dict[str, str]]:
+def _earlier_places(table: pa.Table, incumbent: Version | None) -> list[dict[str, str]]:
     """Return rows of spec ``places`` for weights from before there was one: each clip its place."""
     if incumbent is None:
         return []

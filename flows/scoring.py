@@ -71,11 +71,11 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
     parts, masks = [], []
     for result in score_predictions(predictions, judged, chosen):
-        parts.append(Rows.of(result.rows))
+        parts.append(Rows.from_rows(result.rows))
         encoded = {key: rle.encode(mask) for key, mask in result.predictions.items()}
         masks.append((result.method, result.scene, encoded))
     if not predictions.used:
-        listed = ", ".join(predictions.unused[:3])
+        listed = ", ".join(predictions.extra[:3])
         raise InputError(
             f"{predictions.place}: no mask belongs to a query (found {listed}); name scenes, "
             "frames and queries as the data and labels do"

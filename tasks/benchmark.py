@@ -196,7 +196,7 @@ def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
     return Scene(
         name=scored.scene,
         dataset=ours.dataset,
-        rows=Rows.of(row for result in (ours, *others) for row in result.rows),
+        rows=Rows.from_rows(row for result in (ours, *others) for row in result.rows),
         metrics=ours.scene_metrics,
         pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,

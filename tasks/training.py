@@ -75,7 +75,7 @@ def train(
     def tell(progress: Progress) -> None:
         run.report(
             f"step {progress.step} of {progress.steps}, loss {progress.loss:.4f}, "
-            f"{progress.rate:.1f} a second, about {progress.seconds_left:.0f} s left"
+            f"{progress.rate:.1f} a second, about {progress.remaining_seconds:.0f} s left"
         )
 
     store = run.store

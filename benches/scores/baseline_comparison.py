@@ -40,7 +40,7 @@ def seconds_of(out: Path) -> dict[str, dict]:
             "first_query": cost.view_query or 0.0,
             "further_query": cost.further_query or 0.0,
         }
-        for cost in costs_of(Rows.of(({**row, "dataset": ""} for row in rows), "times"))
+        for cost in costs_of(Rows.from_rows(({**row, "dataset": ""} for row in rows), "times"))
     }
 
 

@@ -49,8 +49,8 @@ def score(
             f"missing: {len(masks.missing)} of {masks.samples} samples have no mask and count as "
             f"an empty one: {_first_names(list(dict.fromkeys(masks.missing)))}"
         )
-    if masks.unused:
-        notes.append(f"not queried, left out: {_first_names(masks.unused)}")
+    if masks.extra:
+        notes.append(f"not queried, left out: {_first_names(masks.extra)}")
     for note in notes:
         typer.echo(note, err=True)
     typer.echo(f"{methods_text(scores.samples)}\n{out}")

@@ -64,7 +64,7 @@ def costs_of(rows: Rows) -> list[Cost]:
 
 def _median(rows: Rows, column: str, *unit: str) -> float | None:
     """Return the median of a column over frames, scenes or answers; rows of one have one value."""
-    values = {tuple(row[name] for name in unit): row[column] for row in rows.known(column)}
+    values = {tuple(row[name] for name in unit): row[column] for row in rows.having(column)}
     return median(values.values()) if values else None
 
 

@@ -34,7 +34,7 @@ SETTING_COLUMNS = ("selection", "temperature", "threshold", "share", "canonical"
 """Columns of the samples that must be equal in all samples of a score."""
 
 GROUP_COLUMNS = ("dataset", "method", "protocol")
-"""Columns of the samples by which scores are grouped."""
+"""Columns of the samples by which scores are group_rows."""
 
 GOOD_IOU = 0.5
 """Smallest IoU of an answer that is not a miss."""
@@ -53,7 +53,7 @@ class Rows(Sequence[Row]):
         self.table = table
 
     @classmethod
-    def of(cls, rows: Iterable[Row], spec: str = "samples") -> Self:
+    def from_rows(cls, rows: Iterable[Row], spec: str = "samples") -> Self:
         """Keep rows of a spec; columns that they lack are null."""
         return cls(pa.Table.from_pylist(list(rows), schema=load_spec(spec).schema))
 
@@ -85,7 +85,7 @@ class Rows(Sequence[Row]):
             table = table.filter(pc.equal(table[column], value))
         return type(self)(table)
 
-    def known(self, column: str) -> Self:
+    def having(self, column: str) -> Self:
         """Return the rows with a value in a column."""
         return type(self)(self.table.filter(pc.is_valid(self.table[column])))
 
@@ -95,14 +95,14 @@ class Rows(Sequence[Row]):
         return self.where(protocol=self.values("protocol")[0]) if len(self) else self
 
 
-def key_of(row: Row) -> tuple[str, str, str]:
+def query_key(row: Row) -> tuple[str, str, str]:
     """Return the identity of a query: scene, frame and query."""
     return row["scene"], row["frame"], row["query"]
 
 
 def sample_key(row: Row) -> tuple[Any, ...]:
     """Return the key that comparable samples share: scene, frame, query, protocol and size."""
-    return row["dataset"], row["protocol"], row["height"], row["width"], *key_of(row)
+    return row["dataset"], row["protocol"], row["height"], row["width"], *query_key(row)
 
 
 METRICS = {
@@ -132,10 +132,10 @@ class _Sample(NamedTuple):
 def _sample(row: Row) -> _Sample:
     values = (row[column] for column in METRICS.values())
     numbers = tuple(None if value is None else float(value) for value in values)
-    return _Sample(*map(intern, (row["scene"], row["frame"], place_of(row))), numbers)
+    return _Sample(*map(intern, (row["scene"], row["frame"], find_place(row))), numbers)
 
 
-def place_of(row: Row) -> str:
+def find_place(row: Row) -> str:
     """Return the place of a sample, or its scene if the data name no place."""
     return row.get("place") or row["scene"]
 
@@ -261,7 +261,7 @@ def _by_key(rows: Iterable[Row]) -> dict[tuple[Any, ...], _Sample]:
     return samples
 
 
-def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
+def group_rows(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
     """Group rows by some of their columns, in order of appearance."""
     groups: dict[tuple[Any, ...], list[Row]] = defaultdict(list)
     for row in rows:

@@ -137,7 +137,7 @@ def _decode(features, codes, starts, members, gaps, table, ids, confidence):
     for v in range(height):
         _nearest(features[v], codes, starts, members, gaps, rows[v], close[v + 1], lead[v])
     for v in range(height):
-        _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + SEARCH_RADIUS])
+        _find_settled_codes(close[v], close[v + 1], close[v + 2], agreed[v + SEARCH_RADIUS])
     for v in range(height):
         window = agreed[v : v + 2 * SEARCH_RADIUS + 1]
         _decode_row(features[v], codes, rows[v], lead[v], window, table, ids[v], confidence[v])
@@ -173,7 +173,7 @@ def _nearest(features, codes, starts, members, gaps, rows, close, lead):
 
 
 @kernel
-def _mark_settled(above, close, below, agreed):
+def _find_settled_codes(above, close, below, agreed):
     """Copy the codes of ``close`` with which enough neighbours agree."""
     for u in range(1, len(close) - 1):
         row = close[u]

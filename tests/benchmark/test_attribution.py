@@ -49,7 +49,7 @@ def exact(room):
     return build(room.sample, room.label_maps.labels)
 
 
-def rows_of(room, field, **settings):
+def make_rows(room, field, **settings):
     """Return the rows of the attribution by query."""
     gaussians = room.gaussians if field is room.field else field.gaussians
     evaluation = EvaluationSettings(**settings)
@@ -74,7 +74,7 @@ def thing(room):
 
 
 def test_nothing_is_lost_where_nothing_is_broken(room, exact):
-    rows = rows_of(room, exact)
+    rows = make_rows(room, exact)
     assert rows.keys() == room.truth["view_01"].keys()
     # The middle of the narrow table's mask is off it, however true all is.
     assert sum(row["lost"] is not None for row in rows.values()) <= 1
@@ -85,21 +85,21 @@ def test_nothing_is_lost_where_nothing_is_broken(room, exact):
 
 def test_what_was_found_is_what_the_benchmark_scores(room, result):
     scored = {row["query"]: row for row in result.rows if row["protocol"] == "slgaussian@2"}
-    for query, row in rows_of(room, room.field).items():
+    for query, row in make_rows(room, room.field).items():
         assert (row["iou"], row["hit"]) == (scored[query]["iou"], scored[query]["hit_mask"])
         assert row["threshold_iou"] >= row["iou"]
 
 
 def test_an_absurd_threshold_or_a_wrong_vector_lost_it(room, exact, thing):
     phrase = room.sample.phrases[thing[0]]
-    row = rows_of(room, exact, rules=Rules(threshold=0.99999))[phrase]
+    row = make_rows(room, exact, rules=Rules(threshold=0.99999))[phrase]
     assert row["iou"] == 0 and row["threshold_iou"] > 0.5
     assert row["lost"] == "threshold"
     places = np.searchsorted(exact.bank.ids, thing)
     features = exact.bank.features.copy()
     features[places] = exact.bank.features[places[::-1]]
     wrong = exact.changed(bank=replace(exact.bank, features=features))
-    row = rows_of(room, wrong)[phrase]
+    row = make_rows(room, wrong)[phrase]
     assert row["threshold_iou"] < 0.5 < row["language_iou"]
     assert row["lost"] == "language"
 
@@ -110,18 +110,18 @@ def test_masks_that_cut_a_thing_up_are_a_loss_of_masks_unless_a_group_holds_it(r
     squares = int(labels.max()) + 1 + rows * (columns.max() + 1) + columns
     field = build(room.sample, np.where(labels == thing[0], squares, labels).astype(np.int32))
     # The pieces have no name, so no view says anything of them, and words choose others.
-    row = rows_of(room, field)[phrase]
+    row = make_rows(room, field)[phrase]
     assert row["language_iou"] < 0.5 and row["lost"] == "masks"
     bank, pieces = field.bank, ~np.isin(field.bank.ids, room.label_maps.ids)
     levels = np.where(pieces, len(bank), np.arange(len(bank)))[None].astype(np.int32)
     wrong = field.encoder.encode_text([room.sample.phrases[thing[1]]])
     words = np.repeat(wrong[None], bank.present.shape[1], 1).astype(np.float32)
-    row = rows_of(room, field.changed(bank=replace(bank, levels=levels, group_features=words)))
+    row = make_rows(room, field.changed(bank=replace(bank, levels=levels, group_features=words)))
     assert row[phrase]["language_iou"] > 0.5 and row[phrase]["lost"] == "language"
 
 
 def test_wrong_depth_is_mended_by_nothing(room):
-    rows = rows_of(room, build(room.sample, room.label_maps.labels, 0.45))
+    rows = make_rows(room, build(room.sample, room.label_maps.labels, 0.45))
     things = [row for row in rows.values() if room.truth["view_01"][row["query"]].sum() < 700]
     assert len(things) >= 5
     for row in things:

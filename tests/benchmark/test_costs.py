@@ -26,7 +26,7 @@ ROWS = [
 
 def test_medians_are_over_what_was_measured_and_peaks_the_greatest():
     other = row("a", "1", "x", method="other", query_seconds=2.0, prepare_seconds=4.0)
-    ours, theirs = costs_of(Rows.of([*ROWS, other], "times"))
+    ours, theirs = costs_of(Rows.from_rows([*ROWS, other], "times"))
     assert ours == Cost("d", "ours", 20.0, 3.0, None, 8.0, 150)
     assert theirs == Cost("d", "other", None, 2.0, 4.0, None, None)
-    assert costs_of(Rows.of([], "times")) == []
+    assert costs_of(Rows.from_rows([], "times")) == []

@@ -5,7 +5,7 @@ import pyarrow as pa
 import pytest
 from scipy.stats import ks_2samp
 
-from slgaussian.benchmark.drift import compare_lessons, drifted
+from slgaussian.benchmark.drift import compare_lessons, find_drifts
 from slgaussian.storage.specs import load_spec
 
 SPEC = load_spec("distributions")
@@ -39,7 +39,7 @@ def test_distances_are_those_of_scipy():
 
 def test_equal_lessons_have_no_drift():
     drift = compare_lessons(lessons(range(5)), lessons(range(5)))
-    assert drift["drifts"] == [0] * len(QUANTITIES) and drifted(drift) == []
+    assert drift["drifts"] == [0] * len(QUANTITIES) and find_drifts(drift) == []
 
 
 def test_a_few_clips_among_many_are_seen_if_they_differ():
@@ -47,20 +47,22 @@ def test_a_few_clips_among_many_are_seen_if_they_differ():
     then = lessons(range(40))
     alike = pa.concat_tables([then, lessons(range(40, 52))])
     blurred = pa.concat_tables([then, lessons(range(40, 52), shift=0.25)])
-    assert drifted(compare_lessons(then, alike)) == []
-    assert drifted(compare_lessons(then, blurred)) == ["blur"]
+    assert find_drifts(compare_lessons(then, alike)) == []
+    assert find_drifts(compare_lessons(then, blurred)) == ["blur"]
 
 
 def test_lessons_of_few_clips_are_no_evidence_however_many():
     """By lessons alone, two times two clips with 200 lessons each would differ significantly."""
     then, now = lessons(range(2), 200), lessons(range(2, 4), 200)
     assert ks_2samp(then["blur"].to_numpy(), now["blur"].to_numpy()).pvalue < 1e-9
-    assert drifted(compare_lessons(then, now)) == []
+    assert find_drifts(compare_lessons(then, now)) == []
 
 
 def test_false_alarms_are_rare():
     alarms = [
-        bool(drifted(compare_lessons(lessons(range(12), seed=s), lessons(range(12, 24), seed=s))))
+        bool(
+            find_drifts(compare_lessons(lessons(range(12), seed=s), lessons(range(12, 24), seed=s)))
+        )
         for s in range(10)
     ]
     assert sum(alarms) <= 2  # 5 % expected at most

@@ -46,10 +46,10 @@ def folder(tmp_path, result):
 @pytest.fixture
 def entries(result):
     """The masks of the first protocol as entries of a JSON file."""
-    return entries_of(result)
+    return make_entries(result)
 
 
-def entries_of(result, protocol="slgaussian@2", text=True):
+def make_entries(result, protocol="slgaussian@2", text=True):
     entries = []
     for row in result.rows:
         if row["protocol"] == protocol and row["frame"] == "view_01":
@@ -100,7 +100,7 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
         r["class_iou"] for r in rescored.rows
     )
     assert rows["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
-    unused = predictions.unused
+    unused = predictions.extra
     assert unused and all(" in halfway of " in name for name in unused)
     for key, mask in rescored.predictions.items():
         assert np.array_equal(mask, result.predictions[key])
@@ -121,7 +121,7 @@ def test_methods_are_scored_by_the_protocols_of_their_masks(folder, judged):
 
 @pytest.mark.parametrize("text", [True, False])
 def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, judged, text):
-    file = write(tmp_path / "mine.json", entries_of(result, text=text))
+    file = write(tmp_path / "mine.json", make_entries(result, text=text))
     rescored, predictions = scored(file, judged, "slgaussian")
     rows, theirs = by_key(rescored.rows), by_key(result.rows)
     assert rescored.method == "mine" and predictions.methods == {"mine": ()}
@@ -137,7 +137,7 @@ def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, 
 
 
 def test_texts_compete_by_masks_that_do_not_overlap(tmp_path, result, judged):
-    entries = [{**entry, "method": "ours"} for entry in entries_of(result, "3d-ovs@2")]
+    entries = [{**entry, "method": "ours"} for entry in make_entries(result, "3d-ovs@2")]
     file = write(tmp_path / "own.json", entries)
     rescored, _ = scored(file, judged, "slgaussian", "3d-ovs")
     theirs = by_key(result.rows)
@@ -181,7 +181,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
         Image.fromarray(mask).save(path)
     rescored, predictions = scored(tmp_path / "p", scene)
     assert [row["iou"] for row in rescored.rows] == [1, 1] and not predictions.missing
-    assert rescored.method == "My method!" and not predictions.unused
+    assert rescored.method == "My method!" and not predictions.extra
     entry = {"scene": scene.scene, "query": "café", "size": [104, 144], "counts": encode(query)}
     for frame in ("left/view_01.jpg", "left/view_01", "view_01"):
         file = write(tmp_path / "m.json", [{**entry, "frame": frame}])

@@ -37,7 +37,7 @@ def read(folder: Path, *objects) -> dict[str, np.ndarray]:
     return read_labels(folder, NAME, 40, 24)
 
 
-def view_of(opaque: np.ndarray | None = None) -> View:
+def make_view(opaque: np.ndarray | None = None) -> View:
     camera = Camera(np.diag([40, 40, 1.0]), np.eye(4), 40, 24)
     return View(NAME, camera, np.zeros((24, 40, 3), np.uint8), opaque=opaque)
 
@@ -56,7 +56,7 @@ def test_points_are_truncated_then_filled_and_objects_of_one_category_are_united
     assert masks["sofa"].dtype == bool
     assert np.array_equal(masks["sofa"], expected.astype(bool))
     assert np.array_equal(masks["red crate"], masks["sofa"] | square)
-    boxes = read_truth(tmp_path, ["red crate"], [view_of()]).boxes[NAME]["red crate"]
+    boxes = read_truth(tmp_path, ["red crate"], [make_view()]).boxes[NAME]["red crate"]
     assert boxes.tolist() == [[2, 1, 17, 14], [20, 10, 28, 18]]
 
 
@@ -94,11 +94,11 @@ def test_a_mask_lands_where_the_image_lands(tmp_path_factory, width, height):
     full = read(folder, thing(), thing("box", SQUARE, (20, 10, 28, 18)))
     fitted = read_labels(folder, NAME, width, height)
     for category, mask in full.items():
-        assert np.array_equal(fitted[category], view_of(mask).resized(height, width).opaque)
+        assert np.array_equal(fitted[category], make_view(mask).resized(height, width).opaque)
     # A box follows its pixels: its corners are where the resized camera sees them.
-    view = view_of().resized(height, width)
+    view = make_view().resized(height, width)
     boxes = read_truth(folder, ["box"], [view]).boxes[NAME]["box"]
-    rays = np.linalg.inv(view_of().camera.K) @ np.array([[20, 10, 1], [28, 18, 1]], float).T
+    rays = np.linalg.inv(make_view().camera.K) @ np.array([[20, 10, 1], [28, 18, 1]], float).T
     corners = (view.camera.K @ rays)[:2].T
     assert boxes[0] == pytest.approx(corners.ravel(), abs=1e-9)
 
@@ -106,7 +106,7 @@ def test_a_mask_lands_where_the_image_lands(tmp_path_factory, width, height):
 def test_a_category_that_is_cropped_away_or_unlabelled_has_an_empty_mask(tmp_path):
     write(tmp_path, thing(), thing("edge", [[0, 0], [1, 0], [1, 23], [0, 23]], (0, 0, 1, 23)))
     categories = ["edge", "red crate", "ghost"]
-    truth = read_truth(tmp_path, categories, [view_of().resized(24, 24)])
+    truth = read_truth(tmp_path, categories, [make_view().resized(24, 24)])
     is_visible = {category: bool(mask.any()) for category, mask in truth.masks[NAME].items()}
     assert list(is_visible.items()) == [("edge", False), ("red crate", True), ("ghost", False)]
     assert truth.boxes[NAME]["ghost"].shape == (0, 4)
@@ -130,7 +130,7 @@ def test_a_box_is_read_in_the_form_that_its_polygon_confirms(tmp_path, polygon, 
     is_coco = not np.allclose(np.sort(np.reshape(bbox, (2, 2)), 0).ravel(), expected)
     says = pytest.warns(UserWarning, match=r"frame_1\.json: 1 boxes are x, y, width, height, as th")
     with says if is_coco else nullcontext():
-        boxes = read_truth(tmp_path, ["crate", "sofa"], [view_of()]).boxes[NAME]
+        boxes = read_truth(tmp_path, ["crate", "sofa"], [make_view()]).boxes[NAME]
     np.testing.assert_allclose(boxes["crate"], [expected])
     np.testing.assert_allclose(boxes["sofa"], [(2.9, 1.9, 17.4, 13.8)])
 
@@ -138,7 +138,7 @@ def test_a_box_is_read_in_the_form_that_its_polygon_confirms(tmp_path, polygon, 
 def test_an_object_in_parts_may_have_the_box_of_all_of_them(tmp_path):
     whole, rest = (2.9, 1.9, 28, 18), (20, 10, 28, 18)
     write(tmp_path, thing("tap", TRIANGLE, whole), thing("tap", SQUARE, rest))
-    boxes = read_truth(tmp_path, ["tap"], [view_of()]).boxes[NAME]["tap"]
+    boxes = read_truth(tmp_path, ["tap"], [make_view()]).boxes[NAME]["tap"]
     np.testing.assert_allclose(boxes, [whole, rest])
 
 

@@ -76,4 +76,4 @@ def test_file_names_are_safe_and_differ():
 def test_an_unwritable_place_is_named(tmp_path, result):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):
-        write_samples(Rows.of(result.rows), tmp_path / "file")
+        write_samples(Rows.from_rows(result.rows), tmp_path / "file")

@@ -36,7 +36,7 @@ def test_nearer_is_redder_and_unknown_is_dark(depths):
 def test_relevancy_is_stretched_to_what_occurs(photo):
     grey = np.full((60, 80, 3), 90, np.uint8)
     painted, wide = (
-        pictures.paint_stretched(np.tile(np.linspace(*ends, 80), (60, 1)), grey)
+        pictures.paint_relevancy_range(np.tile(np.linspace(*ends, 80), (60, 1)), grey)
         for ends in ((0.40, 0.44), (0.1, 1))
     )
     assert np.array_equal(painted[:40], wide[:40])  # below them stand the ends, which differ
@@ -47,7 +47,7 @@ def test_relevancy_is_stretched_to_what_occurs(photo):
     flat = np.full((60, 80), 0.7)
     flat[:, :20] = 0  # where nothing is drawn
     for constant in (flat, 0 * flat):
-        assert (np.ptp(pictures.paint_stretched(constant, photo), axis=-1) == 0).all()
+        assert (np.ptp(pictures.paint_relevancy_range(constant, photo), axis=-1) == 0).all()
 
 
 def test_drawing_leaves_the_picture_it_is_given_alone(photo):

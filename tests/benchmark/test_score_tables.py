@@ -8,7 +8,7 @@ from slgaussian.benchmark.reports.score_tables import difference_tables, method_
 from slgaussian.benchmark.scores import Rows, differences
 
 
-def rows_of(method: str, *ious: float, places=None, **columns) -> list[dict]:
+def make_rows(method: str, *ious: float, places=None, **columns) -> list[dict]:
     """Return a row per scene."""
     places = places or [None] * len(ious)
     return [
@@ -18,8 +18,8 @@ def rows_of(method: str, *ious: float, places=None, **columns) -> list[dict]:
 
 
 def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
-    rows = rows_of("c", 0.4994) + rows_of("a", 0.50004) + rows_of("b", 0.5, share=0.5)
-    (table,) = method_tables(Rows.of(rows))
+    rows = make_rows("c", 0.4994) + make_rows("a", 0.50004) + make_rows("b", 0.5, share=0.5)
+    (table,) = method_tables(Rows.from_rows(rows))
     assert [(row[0].value, row[1].value, row[1].mark) for row in table.rows] == [
         ("a", "0.500", "best"),
         ("b", "0.500", "best"),
@@ -31,14 +31,14 @@ def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
 
 def test_data_sets_and_protocols_are_apart():
     other = {"protocol": "3d-ovs@2", "accuracy": 0.5}
-    rows = rows_of("a", None, **other) + rows_of("a", 0.5) + rows_of("a", 0.7, dataset="e")
-    tables = method_tables(Rows.of(rows))
+    rows = make_rows("a", None, **other) + make_rows("a", 0.5) + make_rows("a", 0.7, dataset="e")
+    tables = method_tables(Rows.from_rows(rows))
     assert [(table.title, table.columns[1].title) for table in tables] == [
         ("d, protocol slgaussian@2", "IoU"),
         ("e, protocol slgaussian@2", "IoU"),
         ("d, protocol 3d-ovs@2", "Accuracy"),
     ]
-    assert method_tables(Rows.of([])) == []
+    assert method_tables(Rows.from_rows([])) == []
 
 
 STEADY = np.array([0.01, -0.01, 0.02, 0.0, -0.02, 0.01, 0.0, -0.01])
@@ -61,7 +61,7 @@ SPREAD = np.linspace(0.1, 0.9, 8)
     ],
 )
 def test_a_difference_is_beyond_noise_or_not(ours, theirs, places, cell):
-    pair = rows_of("a", *ours, places=places), rows_of("b", *theirs, places=places)
+    pair = make_rows("a", *ours, places=places), make_rows("b", *theirs, places=places)
     (table,) = difference_tables({"b": pair})
     gain = table.rows[0][1]
     assert (gain.value, gain.mark) == cell

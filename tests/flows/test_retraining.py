@@ -69,7 +69,7 @@ def artifact(key: str = ARTIFACT) -> str:
     return latest["data"]
 
 
-def named(folder: Path, table: str) -> set[str]:
+def read_clips(folder: Path, table: str) -> set[str]:
     return set(pq.read_table(folder / "corpus" / f"{table}.parquet")["clip"].to_pylist())
 
 
@@ -127,7 +127,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert (added.number, added.parent) == (2, 1)
     assert record(tmp_path)["split"] == added.split != ""
     for table in ("views", "pairs", "lessons"):
-        assert named(tmp_path, table) == {second.key, judged.key}
+        assert read_clips(tmp_path, table) == {second.key, judged.key}
 
     # What cannot be done is a failure with an artifact, and the next one is as good.
     (chunk,) = (tmp_path / "chunks").glob(f"{judged.key.replace(' ', '_')}.torch")

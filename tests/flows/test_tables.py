@@ -11,16 +11,16 @@ from slgaussian.benchmark.scores import Rows, scene_means
 from tests.benchmark.rows import sample
 
 
-def result_of(scene, *ious, method="m", dataset="d"):
+def make_result(scene, *ious, method="m", dataset="d"):
     named = {"method": method, "dataset": dataset}
     rows = [sample(scene, f"q{k}", iou=iou, **named) for k, iou in enumerate(ious)]
     other = [row | {"protocol": "langsplat@2", "iou": 0.0} for row in rows]
     metrics = scene_means(rows) | {"psnr": 20.0}
-    return SceneResult(scene, Rows.of(rows + other), metrics, {}, {}, dataset, method)
+    return SceneResult(scene, Rows.from_rows(rows + other), metrics, {}, {}, dataset, method)
 
 
 def test_the_mean_has_an_interval_and_says_by_what():
-    lines = scenes_text([result_of("a", 0.2, 0.4), result_of("b", 0.9)]).splitlines()
+    lines = scenes_text([make_result("a", 0.2, 0.4), make_result("b", 0.9)]).splitlines()
     assert [line.split() for line in lines[:-1]] == [
         ["Scene", "IoU", "PSNR"],
         ["a", "0.300", "20.0"],
@@ -34,10 +34,10 @@ def test_the_mean_has_an_interval_and_says_by_what():
 
 
 def test_one_scene_has_no_interval_and_no_scene_no_numbers():
-    *_, mean, by = scenes_text([result_of("a", 0.5)]).splitlines()
+    *_, mean, by = scenes_text([make_result("a", 0.5)]).splitlines()
     assert mean.split() == ["mean", "0.500", "20.0"]
     assert by.endswith("1 sample of 1 scene; one place: no interval")
-    unasked = SceneResult("a", Rows.of([]), {"psnr": 20.0}, {}, {})
+    unasked = SceneResult("a", Rows.from_rows([]), {"psnr": 20.0}, {}, {})
     assert len(scenes_text([unasked]).splitlines()) == 3
     assert scenes_text([]) == ""
 
@@ -50,7 +50,7 @@ def test_the_exit_status_of_a_comparison_gates_by_losses_and_absent_scenes(slg, 
             sample(s, iou=iou, height=9, width=9, **columns)
             for s, iou in zip("abc", ious, strict=False)
         ]
-        write_samples(Rows.of(rows), tmp_path / name)
+        write_samples(Rows.from_rows(rows), tmp_path / name)
         return tmp_path / name
 
     main = leave("main", 0.5, 0.6, 0.7, class_iou=0.9)

@@ -67,7 +67,7 @@ def camera(x: float) -> Camera:
     return Camera(K, c2w, SIZE[1], SIZE[0])
 
 
-def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
+def make_lessons(folder: Path, seeds, holed: bool = False) -> pa.Table:
     """Write lessons to the store of a folder, and their table to its ``corpus``."""
     store, rows = ArtifactStore(folder / "store"), []
     for seed in seeds:
@@ -107,7 +107,7 @@ def command(folder: Path, out: str = "out", *more: str) -> list[str]:
 
 
 def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
-    table = lessons_of(tmp_path, range(12))
+    table = make_lessons(tmp_path, range(12))
     status, _, errors = slg(*command(tmp_path, "out", *FEW))
     assert status == 0 and "branch  train  cached" not in errors
     files = files_below(tmp_path / "out")
@@ -142,7 +142,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
 def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch):
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()
-        lessons_of(tmp_path / name, range(6))
+        make_lessons(tmp_path / name, range(6))
     long = ("--steps", "44", "--set", "held_out=0.4")
     program = "import sys; from flows.cli.app import main; main()"
     argv = [sys.executable, "-c", program, *command(tmp_path / "killed", "out", *long)]
@@ -178,7 +178,7 @@ def count_steps(monkeypatch) -> list[int]:
 
 
 def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, refusal):
-    lessons_of(tmp_path, range(6))
+    make_lessons(tmp_path, range(6))
     monkeypatch.chdir(tmp_path)
     for words, expected in (
         (("--store", "elsewhere"), "give the --store of `slgaussian supervise`"),
@@ -207,18 +207,18 @@ def test_only_better_weights_are_put_to_use(tmp_path):
 
     store, versions = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models")
     settings = retrain_settings(tmp_path)
-    outcome = learn(lessons_of(tmp_path, range(16)), settings, store)
+    outcome = learn(make_lessons(tmp_path, range(16)), settings, store)
     assert (
         outcome.version.number == 1 and not outcome.version.promoted and versions.current() is None
     )
     why = r"version 1 stored, not promoted: (no gain over|worse than) no network \((filled|hard)\)"
     assert re.match(why, outcome.message)
-    same = learn(lessons_of(tmp_path, range(16)), settings, store)
+    same = learn(make_lessons(tmp_path, range(16)), settings, store)
     assert same.version is None
     assert same.message == "nothing new since version 1; no version is in use"
 
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
-    outcome = learn(lessons_of(tmp_path, range(18)), settings, store)
+    outcome = learn(make_lessons(tmp_path, range(18)), settings, store)
     assert not outcome.version.promoted
     assert re.match(
         r"version 3 stored, not promoted: (no gain over|worse than) no network", outcome.message
@@ -226,7 +226,7 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert outcome.regressed.startswith("version 2, in use, is worse than no network (")
 
     settings = retrain_settings(tmp_path, steps=200, rate=0.02)
-    outcome = learn(lessons_of(tmp_path, range(18), holed=True), settings, store)
+    outcome = learn(make_lessons(tmp_path, range(18), holed=True), settings, store)
     assert (
         outcome.version.promoted and outcome.version.parent == bad.number and not outcome.regressed
     )
@@ -238,10 +238,10 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     scores = outcome.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
     sides = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
-    learn(lessons_of(tmp_path, range(24)), retrain_settings(tmp_path, held_out=0.9), store)
+    learn(make_lessons(tmp_path, range(24)), retrain_settings(tmp_path, held_out=0.9), store)
     after = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
     assert sides.items() <= after.items() and len(after) == 24
-    assert not outcome.version.shares_split(versions.all()[-1])
+    assert not outcome.version.is_comparable_to(versions.all()[-1])
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
@@ -252,7 +252,7 @@ def test_three_nights_promote_refuse_and_are_rolled_back(tmp_path, slg):
     store, versions, nights = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models"), []
     for clips, steps in ((20, 30), (26, 2), (32, 200)):
         settings = retrain_settings(tmp_path, steps=steps, rate=0.02)
-        night = learn(lessons_of(tmp_path, range(clips), holed=True), settings, store)
+        night = learn(make_lessons(tmp_path, range(clips), holed=True), settings, store)
         nights.append(night.version)
     assert [night.promoted for night in nights] == [True, False, True]
     assert versions.current().number == 3

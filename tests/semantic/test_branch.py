@@ -29,7 +29,7 @@ from slgaussian.semantic.branch import (
 )
 from slgaussian.semantic.hard import HardIndex, fill_from_other_views
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.training import loss_of
+from slgaussian.semantic.training import compute_loss
 
 # Not imported: an error in the module must show here.
 REACH = 6.0
@@ -46,7 +46,7 @@ def perturbed_branch(architecture: Architecture = SMALL, seed: int = 3) -> Branc
     return branch.eval()
 
 
-def bank_of(ids: np.ndarray, dimension: int = 3) -> MemoryBank:
+def make_bank(ids: np.ndarray, dimension: int = 3) -> MemoryBank:
     codes = np.random.default_rng(1).random((len(ids), dimension)).astype(np.float32)
     n = len(ids)
     return MemoryBank(ids, codes, np.zeros((n, 2, 1), np.float32), np.zeros((n, 2), bool))
@@ -111,7 +111,7 @@ def test_loss_is_the_mean_squared_error_over_all_pixels():
     targets[1, 5:9, 3:8] = 9  # an object that no context view shows has a code as well
     example = replace(example, targets=targets)
     branch = make_branch(SMALL, 5)
-    loss = loss_of(branch, example, [0, 1], "grid", np.random.default_rng(2))
+    loss = compute_loss(branch, example, [0, 1], "grid", np.random.default_rng(2))
     maps = label_maps(np.concatenate([example.labels, targets]))
     codes = load_codes("grid")(maps, np.random.default_rng(2))
     bank = MemoryBank(maps.ids, codes, np.zeros((5, 2, 1), np.float32), np.zeros((5, 2), bool))
@@ -126,7 +126,7 @@ def test_loss_is_the_mean_squared_error_over_all_pixels():
     # What is rendered where the photograph of a target is transparent is no error.
     opaque = targets > 0
     partly = replace(example, opaque=opaque)
-    loss = loss_of(branch, partly, [0, 1], "grid", np.random.default_rng(2))
+    loss = compute_loss(branch, partly, [0, 1], "grid", np.random.default_rng(2))
     known = np.mean(np.square(errors) * opaque[..., None])
     assert known < np.mean(np.square(errors))
     assert float(loss.detach()) == pytest.approx(known, rel=1e-5)
@@ -144,7 +144,7 @@ def test_stored_branch_lifts_as_before(tmp_path):
     branch, example = perturbed_branch(), lesson()
     (tmp_path / "b.safetensors").write_bytes(save_branch(branch))
     maps = label_maps(example.labels)
-    bank = bank_of(maps.ids)
+    bank = make_bank(maps.ids)
     loaded = load_lifting("branch", weights=tmp_path / "b.safetensors")
     expected = BranchLifting(branch)(example.gaussians, maps, bank).features
     assert torch.equal(loaded(example.gaussians, maps, bank).features, expected)
@@ -203,7 +203,7 @@ def test_unlabelled_pixels_are_filled_from_the_other_view():
     example = lesson()
     gaussians, labels = example.gaussians, example.labels.copy()
     labels[0, 5:9, 10:20] = 0
-    maps, bank = label_maps(labels), bank_of(np.unique(example.labels))
+    maps, bank = label_maps(labels), make_bank(np.unique(example.labels))
     complete, incomplete = (
         HardIndex()(gaussians, m, bank).features for m in (label_maps(example.labels), maps)
     )
@@ -224,7 +224,7 @@ def test_bytes_do_not_depend_on_the_thread_count():
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            features.append(lifting(example.gaussians, maps, bank_of(maps.ids)).features)
+            features.append(lifting(example.gaussians, maps, make_bank(maps.ids)).features)
     finally:
         torch.set_num_threads(before)
     assert torch.equal(*features)

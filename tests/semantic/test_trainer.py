@@ -16,7 +16,7 @@ from train_and_die import LESSONS, SETTINGS
 from slgaussian.errors import InputError
 from slgaussian.semantic.branch import Architecture, make_branch, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT
-from slgaussian.semantic.training import draw_batch, loss_of, train
+from slgaussian.semantic.training import compute_loss, draw_batch, train
 from slgaussian.storage.specs import load_spec
 from tests.kernel_threads import kernels_on
 
@@ -87,7 +87,7 @@ def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
     branch = make_branch(settings.architecture, 4)
     losses = []
     for drawn in draw_batch(LESSONS, settings, 0):
-        losses.append(loss_of(branch, drawn.lesson, drawn.views, settings.codes, drawn.rng))
+        losses.append(compute_loss(branch, drawn.lesson, drawn.views, settings.codes, drawn.rng))
     gradients = torch.autograd.grad(sum(losses) / len(losses), list(branch.parameters()))
     length = torch.cat([gradient.ravel() for gradient in gradients]).norm()
     trained = train(LESSONS, settings, tmp_path, branch)

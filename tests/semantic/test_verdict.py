@@ -36,7 +36,9 @@ def test_a_gain_within_noise_is_none():
         assert comparison.difference > 0 and verdict.better == (comparison.low > 0)
         verdicts[step] = verdict
     assert [verdict.better for verdict in verdicts.values()] == [False, False, True]
-    assert verdicts[0.01].why.startswith("no gain over no branch beyond noise: +0.0100 IoU (-0.00")
+    assert verdicts[0.01].reason.startswith(
+        "no gain over no branch beyond noise: +0.0100 IoU (-0.00"
+    )
 
 
 def test_few_clips_never_are_enough():
@@ -44,7 +46,9 @@ def test_few_clips_never_are_enough():
         gate(judged({"branch": [0.9] * n, "hard": [0.1] * n}, list("abcdefgh"[:n])), {"hard": "it"})
         for n in (MIN_SAMPLES - 1, MIN_SAMPLES)
     )
-    assert not five_clips.better and five_clips.why.startswith("too few clips to tell it from it")
+    assert not five_clips.better and five_clips.reason.startswith(
+        "too few clips to tell it from it"
+    )
     assert enough.better
 
 
@@ -73,8 +77,8 @@ def with_means(**means: float) -> pa.Table:
 )
 def test_the_gate_asks_for_more_than_the_best_of_all(before, hard, filled, better, why):
     verdict = gate(with_means(branch=0.58, before=before, hard=hard, filled=filled), RIVALS)
-    assert verdict.better == better and verdict.why.startswith(why)
-    assert verdict.why.endswith("; and than hard and filled") == better
+    assert verdict.better == better and verdict.reason.startswith(why)
+    assert verdict.reason.endswith("; and than hard and filled") == better
 
 
 def test_what_is_in_use_is_worse_than_no_network_only_beyond_noise():

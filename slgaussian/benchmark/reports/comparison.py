@@ -135,8 +135,8 @@ def list_differences(runs: Sequence[Run]) -> list[dict[str, Any]]:
     return rows
 
 
-def list_losses(runs: Sequence[Run], rows: Sequence[Row], most: float) -> list[str]:
-    """Describe what later runs lost: scenes of the first, or more than ``most`` of a score.
+def list_losses(runs: Sequence[Run], rows: Sequence[Row], tolerance: float) -> list[str]:
+    """Describe what later runs lost: scenes of the first, or more than ``tolerance`` of a score.
 
     ``rows`` are the :func:`list_differences` of the runs; those that decide count.
 
@@ -157,7 +157,7 @@ def list_losses(runs: Sequence[Run], rows: Sequence[Row], most: float) -> list[s
             names = ", ".join(absent[:MAX_LISTED])
             lost.append(f"{run.folder}: lacks {len(absent)} of {len(expected)} scenes, as {names}")
         for row in deciding:
-            if row["difference"] < -most:
+            if row["difference"] < -tolerance:
                 loss = f"lost {-row['difference']:.4f} {row['metric']} on {row['dataset']}"
                 lost.append(f"{run.folder}: {row['method']} {loss} ({_describe(row)})")
     return lost
@@ -244,4 +244,4 @@ def rank_methods(named: Mapping[str, Run]) -> list[model.Table]:
             for row in rows
             if sample_key(row) in shared and len(truths.get(row["scene"], ())) < 2
         ]
-    return method_tables(Rows.of(common))
+    return method_tables(Rows.from_rows(common))

@@ -90,7 +90,7 @@ def _table(
 ) -> Table:
     titles = [line["title"] for line in table["lines"]]
 
-    def named(entry: Mapping[str, Any]) -> str:
+    def make_title(entry: Mapping[str, Any]) -> str:
         title, method = entry["title"].replace("_", " "), entry.get("method")
         return f"{title} / {ours if method == 'slgaussian' else method}" if method else title
 
@@ -106,8 +106,8 @@ def _table(
             key = cell["format"], scenes[0] if len(scenes) == 1 else None, *of
             text = f"{printed:g}" if cell["metric"] == "seconds" else f"{printed:.2f}"
             cells.append(Cell(text, _number(scores[key]) if present else ""))
-        rows.append([named(line), *cells])
-    heads = ["", *map(named, table["columns"])]
+        rows.append([make_title(line), *cells])
+    heads = ["", *map(make_title, table["columns"])]
     return Table(heads, rows, table["title"], notes, has_total=titles[-1] == "overall")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 
-from slgaussian.benchmark.drift import LISTS, drifted
+from slgaussian.benchmark.drift import LISTS, find_drifts
 from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.reports.figures import plot as draw_plot
 from slgaussian.benchmark.retrainings import COLUMNS, summaries
@@ -43,7 +43,7 @@ def history_section(history: pa.Table, plot: bytes) -> model.Section:
     last = history.to_pylist()[-1]
     if last["against"]:
         names, *numbers = (last[name] for name in LISTS)
-        answers = ["yes" if name in drifted(last) else "no" for name in names]
+        answers = ["yes" if name in find_drifts(last) else "no" for name in names]
         texts = ([f"{value:.3g}" for value in column] for column in numbers)
         title = f"Drift of the lessons against those of version {last['against']}"
         lines = zip(names, *texts, answers, strict=True)

@@ -29,7 +29,7 @@ from slgaussian.benchmark.reports.score_tables import (
     scores_of,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
-from slgaussian.benchmark.scores import GOOD_IOU, Rows, grouped, key_of, score_table
+from slgaussian.benchmark.scores import GOOD_IOU, Rows, group_rows, query_key, score_table
 
 Row = Mapping[str, Any]
 BySet = Mapping[str, tuple[Mapping[str, Mapping[str, float]], Sequence[Row]]]
@@ -200,8 +200,8 @@ def _picture_sections(
     """
     per_scene = max(MAX_WORST_PER_SCENE, -(-MAX_WORST_ANSWERS // (len(scenes) or 1)))
     worst = examples.worst_answers(answers, MAX_WORST_ANSWERS, per_scene)
-    shown = set(map(key_of, worst))
-    lost_by = {key: row["lost"] or "" for row in attribution if (key := key_of(row)) in shown}
+    shown = set(map(query_key, worst))
+    lost_by = {key: row["lost"] or "" for row in attribution if (key := query_key(row)) in shown}
     cards: dict[examples.Key, model.Card] = {}
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:MAX_PICTURED_SCENES]}
@@ -216,10 +216,12 @@ def _picture_sections(
             of_scene = list(answers.where(scene=scene.name))
             sections = [examples.example_section(scene, of_scene, images)]
         for row in chosen:
-            cards[key_of(row)] = examples.answer_card(row, images, lost_by.get(key_of(row), ""))
+            cards[query_key(row)] = examples.answer_card(
+                row, images, lost_by.get(query_key(row), "")
+            )
         if images and scene.name in pictured:
             folds[scene.name] = examples.scene_fold(scene, f"scene-{place}", images)
-    return sections, [cards[key_of(row)] for row in worst], folds
+    return sections, [cards[query_key(row)] for row in worst], folds
 
 
 def _scores_section(rows: Rows, methods: Sequence[str]) -> model.Section:
@@ -240,7 +242,7 @@ def _scores_section(rows: Rows, methods: Sequence[str]) -> model.Section:
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> model.Section:
     """List the scenes that were left out, one row per reason."""
     rows = []
-    for (stage, reason), members in grouped(failures, "stage", "reason").items():
+    for (stage, reason), members in group_rows(failures, "stage", "reason").items():
         names = [failure["scene"] for failure in members]
         rest = [f"and {len(names) - MAX_LISTED} more"] if names[MAX_LISTED:] else []
         rows.append(["; ".join([*names[:MAX_LISTED], *rest]), stage, reason])
@@ -251,7 +253,7 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> model.Section:
 def _worst_section(answers: Rows, worst: Sequence[model.Card], attribution: Rows) -> model.Section:
     """Show the answers with the lowest scores, and the causes of misses."""
     blocks: list[model.Block] = []
-    scored = answers.known("iou")
+    scored = answers.having("iou")
     for dataset in scored.values("dataset"):
         rows = scored.where(dataset=dataset)
         misses = sum(row["iou"] < GOOD_IOU or not row["hit_mask"] for row in rows)

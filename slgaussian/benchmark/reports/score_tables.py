@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.benchmark.reports import model
-from slgaussian.benchmark.scores import Difference, Rows, differences, grouped, score_table
+from slgaussian.benchmark.scores import Difference, Rows, differences, group_rows, score_table
 from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES, Comparison
 
 Row = Mapping[str, Any]
@@ -78,7 +78,7 @@ def method_tables(samples: Rows, ours: str = "") -> list[model.Table]:
     ``ours`` to each other method in the first score.
     """
     order = list(SCORES)
-    groups = grouped(score_table(samples).to_pylist(), "dataset", "protocol")
+    groups = group_rows(score_table(samples).to_pylist(), "dataset", "protocol")
     gains = _gains(samples, ours)
     tables = []
     for (dataset, protocol), rows in sorted(
@@ -86,7 +86,7 @@ def method_tables(samples: Rows, ours: str = "") -> list[model.Table]:
     ):
         by_method = {
             method: {row["metric"]: row for row in method_rows}
-            for (method,), method_rows in grouped(rows, "method").items()
+            for (method,), method_rows in group_rows(rows, "method").items()
         }
         columns = _present(protocol, by_method)
         if not columns:

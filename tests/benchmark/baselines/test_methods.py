@@ -38,15 +38,15 @@ def answering(room_inputs):
 
 
 @pytest.fixture(scope="module")
-def view_of(answering, room):
+def render_view(answering, room):
     camera = room.sample.targets[0].camera
     return cache(lambda name: answering(name).render(camera))
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_every_row_answers_through_the_interface(name, answering, view_of):
+def test_every_row_answers_through_the_interface(name, answering, render_view):
     assert isinstance(answering(name), Answering)
-    view = view_of(name)
+    view = render_view(name)
     assert isinstance(view, AnsweringView) and isinstance(view.reader, Reader)
     shape = 104, 144
     assert view.rgb.dtype == np.uint8 and view.rgb.shape == (*shape, 3)
@@ -68,14 +68,14 @@ def test_every_row_answers_through_the_interface(name, answering, view_of):
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
-    (hit,) = view_of(name).query_all([PLAIN])
+def test_every_row_finds_a_plainly_coloured_thing(name, render_view, room):
+    (hit,) = render_view(name).query_all([PLAIN])
     mask = room.truth["view_01"][PLAIN]
     assert metrics.point_in_mask(hit.point, mask)
     assert metrics.iou(hit.mask, mask) > LEAST_IOU.get(name, 0.7)
     # And not by taking everything.
     assert hit.mask.mean() < 0.75
-    (hit,) = view_of(name).query_all([PLAIN], threshold=0.52)
+    (hit,) = render_view(name).query_all([PLAIN], threshold=0.52)
     sure = np.abs(hit.relevancy - 0.52) > 1e-6  # relevancy is rounded to float32
     assert np.array_equal(hit.mask[sure], hit.relevancy[sure] > 0.52)
 
@@ -93,7 +93,7 @@ def test_vectors_that_take_much_memory_are_rendered_smaller(answering, room, mon
 
 
 @pytest.mark.parametrize("name", ["langsplat-like", "no-association"])
-def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
+def test_the_same_inputs_give_the_same_bytes(name, fresh, render_view, room):
     texts = list(room.truth["view_01"])
     repeated = load_quick(name)(fresh).render(room.sample.targets[0].camera)
 
@@ -103,7 +103,7 @@ def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
         images += [image for hit in hits for image in (hit.relevancy, hit.mask)]
         return [image.tobytes() for image in images], [(hit.point, hit.score) for hit in hits]
 
-    assert answers(repeated) == answers(view_of(name))
+    assert answers(repeated) == answers(render_view(name))
 
 
 def test_bad_settings_are_refused():
