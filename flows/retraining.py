@@ -21,7 +21,7 @@ from flows.config import RetrainSettings, Training
 from flows.runners.session import check_folder, final, publish, run_session, writing
 from flows.training import FILES, part_lessons, read_lessons, train_on
 from slgaussian.benchmark.reports.model import append_section, data_uri
-from slgaussian.benchmark.reports.retrainings import history_plot, history_section
+from slgaussian.benchmark.reports.training import history_plot, history_section
 from slgaussian.benchmark.retrainings import History, count_lessons, score_columns, summaries
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.datasets.splits import SPLITS, Split, read_split

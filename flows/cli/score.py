@@ -40,7 +40,7 @@ def score(
     """
     settings = make_settings(options.settings_from(ctx), "score")
     from flows import scoring
-    from slgaussian.benchmark.reports.terminal import methods_text
+    from slgaussian.benchmark.reports.score_tables import methods_text
 
     scores = scoring.score(settings, predictions, protocols or [], out)
     notes, masks = [*scores.messages], scores.predictions

@@ -107,13 +107,14 @@ def score_columns(judgements: pa.Table) -> dict[str, float]:
 
 def summaries(history: pa.Table) -> list[dict[str, str]]:
     """Return the last :data:`LISTED` rows as texts by heading, the latest first."""
-    return [_summary(row) for row in reversed(history.to_pylist()[-LISTED:])]
-
-
-def _summary(row: dict[str, Any]) -> dict[str, str]:
-    ious = {f"IoU {name}": row[f"{name}_iou"] for name in COLUMNS.values()}
-    texts = {name: "" if iou is None else f"{iou:.4f}" for name, iou in ious.items()}
-    counts = {name: row[name] for name in ("version", "in_use", "lessons", "clips", "places")}
-    texts |= {name.replace("_", " "): "" if n is None else str(n) for name, n in counts.items()}
-    drift = (", ".join(find_drifts(row)) or "none") if row["against"] else ""
-    return {"ended": row["ended"], "outcome": row["outcome"], **texts, "drift beyond noise": drift}
+    listed = []
+    for row in reversed(history.to_pylist()[-LISTED:]):
+        ious = {f"IoU {name}": row[f"{name}_iou"] for name in COLUMNS.values()}
+        texts = {name: "" if iou is None else f"{iou:.4f}" for name, iou in ious.items()}
+        counts = {name: row[name] for name in ("version", "in_use", "lessons", "clips", "places")}
+        texts |= {name.replace("_", " "): "" if n is None else str(n) for name, n in counts.items()}
+        texts["drift beyond noise"] = ""
+        if row["against"]:
+            texts["drift beyond noise"] = ", ".join(find_drifts(row)) or "none"
+        listed.append({"ended": row["ended"], "outcome": row["outcome"], **texts})
+    return listed

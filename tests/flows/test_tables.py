@@ -6,7 +6,7 @@ import pytest
 
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.outputs import write_samples
-from slgaussian.benchmark.reports.terminal import scenes_text
+from slgaussian.benchmark.reports.score_tables import scenes_text
 from slgaussian.benchmark.scores import Rows, scene_means
 from tests.benchmark.rows import sample
 

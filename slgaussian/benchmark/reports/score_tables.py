@@ -6,13 +6,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.scores import Difference, Rows, differences, group_rows, score_table
 from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES, Comparison
+
+if TYPE_CHECKING:  # a comparison of runs needs no evaluation
+    from slgaussian.benchmark.evaluate import SceneResult
 
 Row = Mapping[str, Any]
 
@@ -269,3 +272,31 @@ def score_cell(row: Row | None, digits: int) -> model.Cell:
     bounds = row["low"], row["high"]
     below = "" if None in bounds else "–".join(f"{bound:.{digits}f}" for bound in bounds)
     return model.Cell(f"{row['value']:.{digits}f}", below)
+
+
+def scenes_text(results: Sequence[SceneResult]) -> str:
+    """Tabulate the first method's scores of each scene by data set, and all methods if several."""
+    blocks = []
+    for dataset in dict.fromkeys(result.dataset for result in results):
+        members = [result for result in results if result.dataset == dataset]
+        first = [result for result in members if result.method == members[0].method]
+        rows = Rows.join(result.rows for result in members).leading
+        scores = score_table(rows.where(method=first[0].method)).to_pylist()
+        text = metrics_table({r.scene: r.scene_metrics for r in first}, scores).as_text()
+        blocks.append(f"{text}\n{_conditions_text(scores[0])}" if scores else text)
+        if rows and len(first) < len(members):
+            blocks.append(methods_text(rows))
+    return "\n\n".join(blocks)
+
+
+def methods_text(samples: Rows) -> str:
+    """Tabulate samples: one table per data set and protocol, one line per method."""
+    tables = method_tables(samples)
+    texts = ("\n".join([t.title, t.as_text(), *map(model.plain, t.notes)]) for t in tables)
+    return "\n\n".join(texts)
+
+
+def _conditions_text(score: Mapping[str, Any]) -> str:
+    of = " of ".join(model.count_text(score[f"{unit}s"], unit) for unit in ("sample", "scene"))
+    note = f"; {score['note']}" if score["note"] else ""
+    return f"by {score['protocol']} ({conditions(score)}); {of}{note}"
