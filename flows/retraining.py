@@ -200,7 +200,7 @@ def learn(
     start, rivals = None, NO_NETWORK
     if incumbent is not None:
         start, rivals = versions.weights(incumbent), {"before": used, **NO_NETWORK}
-    trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
+    trained = train_on(lessons, settings, start, store, verbose)
     trained.write(settings.out)
     judgements = trained.judgements
     decision = gate(judgements, rivals)
