@@ -81,7 +81,7 @@ def compare(
     from slgaussian.benchmark.reports import comparison
 
     tables = [comparison.read_run(folder) for folder in runs]
-    report, rows = comparison.compare_runs(tables), comparison.list_differences(tables)
+    report, rows = comparison.compare_runs(tables)
     typer.echo(json.dumps(rows, indent=1, ensure_ascii=False) if as_json else report.as_text())
     if out is not None:
         write_file(out / "compare.html", report.as_html().encode())

@@ -32,7 +32,7 @@ def leave(folder: Path, result, change=lambda row: row, manifest=MANIFEST) -> Pa
 
 def compare(*folders):
     """Compare runs: counts of each, and the blocks of each section by the start of its title."""
-    report = compare_runs([read_run(folder) for folder in folders])
+    report, _ = compare_runs([read_run(folder) for folder in folders])
     sections = {section.title.partition(":")[0]: section.blocks for section in report.sections}
     (table,) = sections["Runs"]
     return [[cell.value for cell in row[2:]] for row in table.rows], sections

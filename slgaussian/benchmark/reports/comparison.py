@@ -20,7 +20,7 @@ from slgaussian.benchmark.reports.score_tables import (
     method_tables,
     scores_of,
 )
-from slgaussian.benchmark.scores import Rows, differences, sample_key
+from slgaussian.benchmark.scores import Difference, Rows, differences, sample_key
 from slgaussian.errors import InputError
 from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
@@ -73,8 +73,15 @@ def read_run(folder: str | Path) -> Run:
     return Run(folder, Rows(samples), manifest)
 
 
-def compare_runs(runs: Sequence[Run]) -> model.Report:
+def compare_runs(runs: Sequence[Run]) -> tuple[model.Report, list[dict[str, Any]]]:
     """Compare each run with the first, and rank their methods.
+
+    Returns:
+        The report, and the scores of each later run minus the first on common samples, as plain
+        data. A row has the ``run``, ``method``, ``dataset``, ``protocol`` and ``metric``; the mean
+        ``difference`` over the ``scenes``, with its interval, ``low`` to ``high``, None for a
+        single place; and whether it ``decides``: it is of the first score of the first protocol of
+        the data.
 
     Raises:
         InputError: If there are fewer than 2 or more than 26 runs, or one is given twice.
@@ -93,52 +100,40 @@ def compare_runs(runs: Sequence[Run]) -> model.Report:
     manifests = {letter: run.manifest for letter, run in named.items() if run.manifest}
     block: model.Block = model.Prose("No known difference in settings, versions or data.")
     if settings := differing_settings(list(manifests.values())):
-        block = model.Table(
-            [model.Column(n, is_text=True) for n in ("Setting", *manifests)], settings
-        )
+        heads = [model.Column(name, is_text=True) for name in ("Setting", *manifests)]
+        block = model.Table(heads, settings)
     sections.append(model.Section("Configuration", [block]))
     if tables := rank_methods(named):
         sections.append(model.Section("Scores", fold_protocols(tables)))
     (base, first), *later = named.items()
-    pairs = {
-        f"{name}, {letter}" if later[1:] else name: (rows, baseline)
-        for letter, run in later
-        for name, baseline, rows in _pair_methods(first, run)
-    }
-    if tables := difference_tables(pairs):
+    rows, compared = [], dict[str, list[Difference]]()
+    for letter, run in later:
+        for method, baseline, samples in _pair_methods(first, run):
+            found = differences(samples, baseline)
+            compared[f"{method}, {letter}" if later[1:] else method] = found
+            rows += [{"run": str(run.folder), "method": method, **row} for row in _as_rows(found)]
+    if tables := difference_tables(compared):
         title = f"Differences: {'each run' if later[1:] else later[0][0]} minus {base}"
         sections.append(model.Section(title, fold_protocols(tables)))
-    return model.Report("Comparison of runs", [model.Prose(SUMMARY)], sections)
+    return model.Report("Comparison of runs", [model.Prose(SUMMARY)], sections), rows
 
 
-def list_differences(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Return the scores of each later run minus the first on common samples, as plain data.
-
-    A row has the ``run``, ``method``, ``dataset``, ``protocol`` and ``metric``; the mean
-    ``difference`` over the ``scenes``, with its interval, ``low`` to ``high``, None for a single
-    place; and whether it ``decides``: it is of the first score of the first protocol of the data.
-    """
-    first, *later = runs
-    rows = []
-    for run in later:
-        for method, baseline, samples in _pair_methods(first, run):
-            ranking: dict[str, tuple[str, str]] = {}
-            for d in differences(samples, baseline):
-                first_score = d.protocol, scores_of(d.protocol)[0].metric
-                decides = ranking.setdefault(d.dataset, first_score) == (d.protocol, d.metric)
-                is_one_place = d.gain.independent_samples < 2
-                row: dict[str, Any] = {"run": str(run.folder), "method": method}
-                row |= {name: getattr(d, name) for name in ("dataset", "protocol", "metric")}
-                row |= {"decides": decides, "difference": d.gain.difference}
-                row |= {n: None if is_one_place else getattr(d.gain, n) for n in ("low", "high")}
-                rows.append({**row, "scenes": d.gain.samples, "samples": d.samples})
-    return rows
+def _as_rows(found: Sequence[Difference]) -> Iterator[dict[str, Any]]:
+    ranking: dict[str, tuple[str, str]] = {}
+    for d in found:
+        first_score = d.protocol, scores_of(d.protocol)[0].metric
+        row: dict[str, Any] = {n: getattr(d, n) for n in ("dataset", "protocol", "metric")}
+        row["decides"] = ranking.setdefault(d.dataset, first_score) == (d.protocol, d.metric)
+        row["difference"] = d.gain.difference
+        has_interval = d.gain.independent_samples > 1
+        row |= {n: getattr(d.gain, n) if has_interval else None for n in ("low", "high")}
+        yield {**row, "scenes": d.gain.samples, "samples": d.samples}
 
 
 def list_losses(runs: Sequence[Run], rows: Sequence[Row], tolerance: float) -> list[str]:
     """Describe what later runs lost: scenes of the first, or more than ``tolerance`` of a score.
 
-    ``rows`` are the :func:`list_differences` of the runs; those that decide count.
+    ``rows`` are those of :func:`compare_runs`; those that decide count.
 
     Raises:
         InputError: If none decides for a run, as it has no scored query in common with the first.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
@@ -154,16 +154,11 @@ def fold_protocols(
     return [*first, *explanations, *([model.Fold("Other protocols", rest)] if rest else [])]
 
 
-def difference_tables(
-    pairs: Mapping[str, tuple[Iterable[Row], Iterable[Row]]],
-) -> list[model.Table]:
-    """Return a table for each data set and protocol: a row per pair, first minus second.
-
-    ``pairs`` are rows of the spec ``samples`` by the name of the row.
-    """
+def difference_tables(compared: Mapping[str, Sequence[Difference]]) -> list[model.Table]:
+    """Return a table for each data set and protocol: a row for each name, its differences."""
     groups: dict[tuple[str, str], dict[str, dict[str, Difference]]] = {}
-    for name, (rows, baseline) in pairs.items():
-        for difference in differences(rows, baseline):
+    for name, found in compared.items():
+        for difference in found:
             by_name = groups.setdefault((difference.dataset, difference.protocol), {})
             by_name.setdefault(name, {})[difference.metric] = difference
     tables = []
