@@ -48,7 +48,7 @@ def leading_rows(result):
     return [r for r in result.rows if r["protocol"] == "slgaussian@2" and r["iou"] is not None]
 
 
-def test_a_run_and_itself_differ_in_nothing(tmp_path, first, result):
+def test_compare_runs_finds_no_difference_of_equal_runs(tmp_path, first, result):
     counts, sections = compare(first, leave(tmp_path / "b", result))
     every = str(len(result.rows))
     assert counts == [["1", "1", every, every, "0"]] * 2
@@ -57,7 +57,7 @@ def test_a_run_and_itself_differ_in_nothing(tmp_path, first, result):
         assert {float(cell.value) for row in gains.rows for cell in row[1:]} == {0.0}
 
 
-def test_a_change_is_named(tmp_path, first, result, leading_rows):
+def test_compare_runs_counts_a_changed_sample(tmp_path, first, result, leading_rows):
     changed = leading_rows[0]
 
     def change(row):
@@ -72,7 +72,7 @@ def test_a_change_is_named(tmp_path, first, result, leading_rows):
     assert back["Differences"][0].rows[0][1].value == gain.replace("-", "+")
 
 
-def test_settings_and_data_are_compared_by_their_leaves():
+def test_differing_settings_lists_leaves_and_scenes():
     other = {
         **MANIFEST,
         "settings": {"share": 0.5, "seed": 0},
@@ -86,9 +86,7 @@ def test_settings_and_data_are_compared_by_their_leaves():
     ]
 
 
-def test_only_queries_of_both_judged_at_one_size_are_compared(
-    tmp_path, first, result, leading_rows
-):
+def test_compare_runs_ignores_samples_without_a_counterpart(tmp_path, first, result, leading_rows):
     query, every = leading_rows[0]["query"], len(result.rows)
     less = leave(tmp_path / "less", result, lambda row: None if row["query"] == query else row)
     left = str(every - sum(row["query"] == query for row in result.rows))
@@ -101,9 +99,7 @@ def test_only_queries_of_both_judged_at_one_size_are_compared(
         assert counts[1][3] == "0" and "Differences" not in sections
 
 
-def test_methods_are_ranked_on_what_all_runs_were_asked_by_one_truth(
-    tmp_path, first, result, leading_rows
-):
+def test_rank_methods_uses_common_samples_of_equal_truth(tmp_path, first, result, leading_rows):
     def rank(*folders):
         return rank_methods(dict(zip("ABC", map(read_run, folders), strict=False)))
 
@@ -121,7 +117,7 @@ def test_methods_are_ranked_on_what_all_runs_were_asked_by_one_truth(
     assert len(rank(first, truths[0])) == len(rank(first))
 
 
-def test_runs_that_cannot_be_compared_are_refused(tmp_path, first, result):
+def test_compare_refuses_missing_damaged_and_repeated_runs(tmp_path, first, result):
     with pytest.raises(InputError, match="is given twice"):
         compare(first, leave(tmp_path / "b", result), first)
     with pytest.raises(InputError, match="found 1 run, expected 2 to 26"):

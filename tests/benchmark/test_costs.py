@@ -24,7 +24,7 @@ ROWS = [
 ]  # fmt: skip
 
 
-def test_medians_are_over_what_was_measured_and_peaks_the_greatest():
+def test_costs_are_medians_of_measurements_and_the_largest_peak():
     other = row("a", "1", "x", method="other", query_seconds=2.0, prepare_seconds=4.0)
     ours, theirs = costs_of(Rows.from_rows([*ROWS, other], "times"))
     assert ours == Cost("d", "ours", 20.0, 3.0, None, 8.0, 150)

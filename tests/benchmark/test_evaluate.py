@@ -30,7 +30,7 @@ def find_row(result, query, protocol="slgaussian"):
     return row
 
 
-def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, result):
+def test_evaluate_returns_a_row_per_query_with_all_columns(room, result):
     texts = [*room.truth["view_01"], "qqwx"]
     assert [row["query"] for row in find_rows(result)] == [*texts, "red sofa", "grey floor"]
     for protocol in ("langsplat", "langsplat-rescaled", "3d-ovs"):
@@ -41,7 +41,7 @@ def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, r
         assert all(columns[name].nullable for name, value in row.items() if value is None)
 
 
-def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
+def test_evaluate_scores_equal_those_of_masks_and_points(room, result):
     view = room.field.render(room.sample.targets[0].camera)
     for query, mask in room.truth["view_01"].items():
         row, predicted = (
@@ -57,7 +57,7 @@ def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
         assert row["hit_box"] or not row["hit_mask"]
 
 
-def test_an_unknown_word_scores_zero_by_every_protocol_and_stays_in_the_means(result):
+def test_evaluate_scores_an_unknown_word_as_zero(result):
     names = ("iou", "boundary_iou", "class_iou", "hit_mask", "hit_box", "hit_peak")
     for protocol in ("slgaussian", "langsplat", "langsplat-rescaled", "3d-ovs"):
         row = find_row(result, "qqwx", protocol)
@@ -70,7 +70,7 @@ def test_an_unknown_word_scores_zero_by_every_protocol_and_stays_in_the_means(re
         assert result.scene_metrics[metric] == pytest.approx(np.mean(scored), abs=1e-12)
 
 
-def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
+def test_evaluate_reports_queries_without_truth_unscored(result):
     absent, untold = find_row(result, "red sofa"), find_row(result, "grey floor")
     for row in (absent, untold):
         assert row["iou"] is row["hit_mask"] is row["hit_box"] is row["class_iou"] is None
@@ -80,7 +80,7 @@ def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
     assert untold["frame"] == "halfway"
 
 
-def test_annotated_boxes_take_the_place_of_the_masks_own(room):
+def test_evaluate_prefers_annotated_boxes_to_boxes_of_masks(room):
     everywhere, nowhere = np.array([[0.0, 0, 143, 103]]), np.zeros((0, 4))
     first, *rest = room.truth["view_01"]
     boxes = {"view_01": {first: nowhere} | dict.fromkeys(rest, everywhere)}
@@ -90,7 +90,7 @@ def test_annotated_boxes_take_the_place_of_the_masks_own(room):
         assert hits == [False] + [True] * len(rest)
 
 
-def test_every_row_says_how_its_mask_was_made(room, result):
+def test_evaluate_rows_state_mask_settings(room, result):
     def settings(result, protocol):
         names = ("selection", "threshold", "share", "filter", "temperature", "canonical", "absent")
         (values,) = {tuple(row[name] for name in names) for row in find_rows(result, protocol)}
@@ -121,7 +121,7 @@ def depth_scores(room, sample, scale=None):
     return {name: pytest.approx(np.mean([s[name] for s in scores])) for name in scores[0]}
 
 
-def test_depth_is_judged_where_the_truth_is_known(room, result):
+def test_evaluate_scores_depth_with_known_truth(room, result):
     assert result.scene_metrics.items() >= depth_scores(room, room.sample).items()
     assert 0 < result.scene_metrics["target_abs_rel"] < 0.3
     # These cameras turn towards each other: no pixel has one disparity.
@@ -137,7 +137,7 @@ def test_depth_is_judged_where_the_truth_is_known(room, result):
     assert result.scene_metrics.items() >= expected.items() and "bad2" in expected
 
 
-def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(room):
+def test_truth_from_instances_unites_equal_phrases_and_omits_invisible_ones(room):
     target = room.sample.targets[0]
     ids = np.unique(target.instances)
     one, two = ids[ids > 0][:2]
@@ -148,7 +148,7 @@ def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(roo
     assert np.array_equal(truth["view_01"]["ball"], np.isin(target.instances, [one, two]))
 
 
-def test_the_first_protocol_leads(room, own_result):
+def test_evaluate_takes_pictures_and_metrics_from_the_first_protocol(room, own_result):
     """The first protocol decides pictures and metrics of the scene, but no score."""
     led = room.evaluate(protocols=["langsplat", "slgaussian", "3d-ovs"])
     assert led.rows[0]["protocol"] == "langsplat@2"
@@ -206,9 +206,7 @@ class Watched:
         )
 
 
-def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(
-    room, own_result, monkeypatch
-):
+def test_evaluate_queries_a_method_once_for_all_protocols(room, own_result, monkeypatch):
     method, other = Watched(room.field), replace(room.sample.targets[0], name="other")
     monkeypatch.setattr("slgaussian.benchmark.evaluate.compiling.clock", lambda: method.now)
     sample = replace(room.sample, targets=(*room.sample.targets, other))
@@ -251,13 +249,13 @@ def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(
         (np.ones((52, 144)), r"the relevancy is \(52, 144\), expected \(104, 144\)"),
     ],
 )
-def test_an_answer_that_is_no_relevancy_is_refused(room, relevancy, message):
+def test_evaluate_refuses_an_invalid_relevancy(room, relevancy, message):
     query = next(iter(room.truth["view_01"]))
     with pytest.raises(InputError, match=f"'view_01': '{query}': .*{message}"):
         evaluate(Watched(room.field, relevancy), room.sample, room.label_maps, Truth(room.truth))
 
 
-def test_hard_truths_are_scored_without_nan(room):
+def test_evaluate_scores_extreme_masks_without_nan(room):
     """Masks of one pixel, all pixels and none; and a known word that the room does not show."""
     some = next(iter(room.truth["view_01"].values()))
     one, corner = np.zeros_like(some), np.zeros_like(some)
@@ -272,7 +270,7 @@ def test_hard_truths_are_scored_without_nan(room):
     assert find_row(result, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size
 
 
-def test_what_a_transparent_target_shows_by_accident_changes_no_score(room):
+def test_evaluate_ignores_transparent_pixels(room):
     """Colours, labels and depth behind the mask are of a thing that nobody photographed."""
     (target,), truth = room.sample.targets, room.truth["view_01"]
     opaque = np.ones(target.image.shape[:2], bool)

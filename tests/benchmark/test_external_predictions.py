@@ -81,7 +81,7 @@ def by_key(rows):
     return {(row["protocol"], row["frame"], row["query"]): row for row in rows}
 
 
-def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
+def test_score_predictions_repeats_scores_of_a_run(folder, result, judged):
     rescored, predictions = scored(folder, judged)
     assert predictions.methods == {"slgaussian": tuple(sorted(SCORABLE))}
     rows, theirs = by_key(rescored.rows), by_key(result.rows)
@@ -108,7 +108,7 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
     assert rescored.scene_metrics["iou"] == result.scene_metrics["iou"]
 
 
-def test_methods_are_scored_by_the_protocols_of_their_masks(folder, judged):
+def test_score_predictions_uses_protocols_of_the_masks(folder, judged):
     masks = folder / "predictions"
     shutil.copytree(masks / "slgaussian" / "langsplat", masks / "another" / "langsplat")
     predictions = read_predictions(folder)
@@ -120,7 +120,7 @@ def test_methods_are_scored_by_the_protocols_of_their_masks(folder, judged):
 
 
 @pytest.mark.parametrize("text", [True, False])
-def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, judged, text):
+def test_score_predictions_scores_run_lengths_with_points(tmp_path, result, judged, text):
     file = write(tmp_path / "mine.json", make_entries(result, text=text))
     rescored, predictions = scored(file, judged, "slgaussian")
     rows, theirs = by_key(rescored.rows), by_key(result.rows)
@@ -136,7 +136,7 @@ def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, 
     assert box["hit_box"] is None and box["iou"] == 0
 
 
-def test_texts_compete_by_masks_that_do_not_overlap(tmp_path, result, judged):
+def test_score_predictions_refuses_overlap_where_texts_compete(tmp_path, result, judged):
     entries = [{**entry, "method": "ours"} for entry in make_entries(result, "3d-ovs@2")]
     file = write(tmp_path / "own.json", entries)
     rescored, _ = scored(file, judged, "slgaussian", "3d-ovs")
@@ -153,7 +153,7 @@ def test_texts_compete_by_masks_that_do_not_overlap(tmp_path, result, judged):
     assert scored(file, judged, "slgaussian")
 
 
-def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judged):
+def test_score_predictions_counts_a_missing_mask_as_empty(folder, result, judged):
     query = next(q for q, mask in judged.truth.masks["view_01"].items() if mask.any())
     for text in (query, "red sofa"):  # of the second there is no truth: no sample
         row = {**result.rows[0], "query": text, "protocol": "slgaussian@2"}
@@ -168,7 +168,7 @@ def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judg
     assert ("slgaussian@2", "view_01", query) not in rescored.predictions
 
 
-def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judged):
+def test_score_predictions_matches_plain_names_and_frames(tmp_path, judged):
     query, other = list(judged.truth.masks["view_01"].values())[:2]
     odd = Truth({"left/view_01.jpg": {"café": query, "a?b": other}})
     scene = replace(judged, scene="Zuhause, oben", truth=odd)
@@ -196,7 +196,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
         (lambda png: encode_png(np.ones((52, 72), bool)), "has 52x72 pixels, height first, and"),
     ],
 )
-def test_a_damaged_mask_is_one_sentence(folder, result, judged, damage, message):
+def test_score_predictions_refuses_a_damaged_png(folder, result, judged, damage, message):
     file = folder / "predictions" / mask_paths(result.rows[:1])[0]
     file.write_bytes(damage(file.read_bytes()))
     with pytest.raises(InputError) as refused:
@@ -217,7 +217,7 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged, damage, message)
         ({"query": ""}, "query: found ''; "),
     ],
 )
-def test_an_entry_that_does_not_fit_is_one_sentence(tmp_path, entries, judged, change, message):
+def test_score_predictions_refuses_an_invalid_entry(tmp_path, entries, judged, change, message):
     entries[1] |= change
     file = write(tmp_path / "own.json", entries)
     with pytest.raises(InputError) as refused:
@@ -225,7 +225,7 @@ def test_an_entry_that_does_not_fit_is_one_sentence(tmp_path, entries, judged, c
     assert str(refused.value).startswith(f"{file}: [1]") and message in str(refused.value)
 
 
-def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, entries):
+def test_read_predictions_refuses_other_documents(tmp_path, entries):
     file = tmp_path / "own.json"
     for content, message in (
         ("[", "is not valid JSON"),

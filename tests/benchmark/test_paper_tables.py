@@ -30,13 +30,13 @@ def cells(table, label: str):
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_the_overall_numbers_are_the_means_of_the_scenes(place):
+def test_printed_tables_have_consistent_means(place):
     """The paper says so; this finds typing errors. Tolerance: half of the last digit."""
     *scenes, overall = (np.array(line["numbers"]) for line in TABLES[place]["lines"])
     np.testing.assert_allclose(np.mean(scenes, 0), overall, atol=0.0051)
 
 
-def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
+def test_paper_section_fills_cells_of_present_scenes():
     rows = [
         make_row("teatime-1", iou=0.2, hit_box=False),
         make_row("teatime-1", iou=0.4, hit_box=True, query="p"),
@@ -59,7 +59,7 @@ def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
     assert cells(ablation, "feed-forward model + MA + MV-LMB") == expected
 
 
-def test_the_overall_is_the_mean_of_all_scenes_each_counting_once():
+def test_paper_section_weights_scenes_equally():
     rows, places = [], {}
     for k, line in enumerate(TABLES[0]["lines"][:-1]):
         scene = line["title"]
@@ -76,7 +76,7 @@ def test_the_overall_is_the_mean_of_all_scenes_each_counting_once():
     assert cells(table, "SLGaussian")[2] == ("0.011", "")
 
 
-def test_closed_set_numbers_are_those_of_their_protocol():
+def test_paper_section_uses_the_protocol_of_a_column():
     rows = [
         make_row("bed", protocol="3d-ovs@2", class_iou=0.5),
         make_row("bed", iou=0.25, class_iou=0.1),

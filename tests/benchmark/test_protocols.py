@@ -85,7 +85,7 @@ POLYGONS = {
 
 
 @pytest.mark.parametrize("name", POLYGONS)
-def test_scores_of_drawn_polygons_are_the_plain_ones(name):
+def test_protocols_equal_plain_loops_on_polygons(name):
     rest = {"a triangle", "a star"} - {name}
     check(make_frame([drawn(POLYGONS[n]) for n in (name, *sorted(rest))], seed=0))
 
@@ -97,7 +97,7 @@ POINTS = st.tuples(st.integers(-30, 100), st.integers(-30, 80))
 @given(
     st.lists(st.lists(POINTS, min_size=3, max_size=9), min_size=1, max_size=4), st.integers(0, 99)
 )
-def test_scores_of_any_polygons_are_the_plain_ones(polygons, seed):
+def test_protocols_equal_plain_loops_on_random_polygons(polygons, seed):
     check(make_frame([drawn(polygon) for polygon in polygons], seed))
 
 
@@ -122,7 +122,7 @@ def mask_settings(name, width, **rules):
     return how.selection, how.threshold, how.share, how.filter
 
 
-def test_the_filter_is_30_pixels_or_its_share_of_the_width():
+def test_langsplat_filter_is_30_pixels_or_rescaled():
     for name, side in (("langsplat", 30), ("langsplat-rescaled", 8)):
         assert mask_settings(name, 260) == ("stretched", 0.4, None, side)
         mask = plain.langsplat(square()[0], side)[0]
@@ -131,7 +131,7 @@ def test_the_filter_is_30_pixels_or_its_share_of_the_width():
     assert mask_settings("langsplat-rescaled", 576)[3] == 17
 
 
-def test_the_paper_scores_what_the_method_selects_and_says_by_which_rule():
+def test_slgaussian_protocol_states_the_rule_of_its_masks():
     assert mask_settings("slgaussian", 576, share=0.8) == ("near-best", None, 0.8, None)
     assert mask_settings("slgaussian", 576, threshold=0.6) == ("threshold", 0.6, None, None)
     relevancy, truth = square()
@@ -142,7 +142,7 @@ def test_the_paper_scores_what_the_method_selects_and_says_by_which_rule():
     assert actual.scores["hit_mask"] is True
 
 
-def test_a_class_that_the_frame_does_not_show_still_competes():
+def test_three_d_ovs_lets_absent_classes_compete():
     truth, nothing, labels = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool), np.ones(SHAPE, np.int32)
     truth[:, :36] = True
     labels[:, :9] = 2
@@ -156,7 +156,7 @@ def test_a_class_that_the_frame_does_not_show_still_competes():
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("columns", [72, 0, 36])
-def test_a_constant_relevancy(value, columns):
+def test_protocols_score_a_constant_relevancy(value, columns):
     truth = np.zeros(SHAPE, bool)
     truth[:, :columns] = True
     relevancy = np.full(SHAPE, value, np.float32)
@@ -167,7 +167,7 @@ def test_a_constant_relevancy(value, columns):
     assert (literal.point is None) == (value == 0)
 
 
-def test_pixels_that_nothing_is_known_of_do_not_stretch_langsplats_range():
+def test_langsplat_protocol_ignores_unknown_pixels():
     """Three values, 0.4 to 0.6, and a hole: the mask equals that of the image without a hole."""
     relevancy, truth = square(0.6, 0.4)
     relevancy[60:120, 200:250] = 0.5

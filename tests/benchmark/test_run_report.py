@@ -47,7 +47,7 @@ def both(result, truth) -> Report:
     return make_report(result, truth)
 
 
-def test_the_same_results_give_the_same_bytes(both, result, truth):
+def test_run_report_is_deterministic(both, result, truth):
     repeated = make_report(result, truth)
     assert (repeated.as_html(), repeated.as_markdown()) == (both.as_html(), both.as_markdown())
 
@@ -56,7 +56,7 @@ def leading(result):
     return [row for row in result.rows if row["protocol"] == "slgaussian@2"]
 
 
-def test_both_forms_have_the_numbers_and_their_conditions(both, result):
+def test_run_report_has_numbers_and_conditions_in_both_forms(both, result):
     check_alone(both.as_html())
     page = Page(both.as_html())
     scores = {s["metric"]: s for s in score_table(leading(result)).to_pylist()}
@@ -77,7 +77,7 @@ def test_both_forms_have_the_numbers_and_their_conditions(both, result):
     assert "does not understand (IoU 0): 1" in page.text
 
 
-def test_seconds_are_appended_and_change_nothing_else(both, result):
+def test_with_times_appends_a_section_only(both, result):
     pages = {"html": both.as_html(), "md": both.as_markdown()}
     cost = Cost(result.dataset, "slgaussian", view_query=0.1234, build=12.3)
     complete = with_times(
@@ -98,7 +98,7 @@ OFF_SCREEN = """(() => {
 
 
 @pytest.mark.parametrize("width", [400, 1200])
-def test_nothing_is_off_the_screen_of_a_telephone(width, result, truth, browser, tmp_path):
+def test_run_report_fits_narrow_and_wide_screens(width, result, truth, browser, tmp_path):
     methods = "slgaussian", "slgaussian, depth_candidates=32, min_visible=5"
     rival = [{**row, "method": methods[1]} for row in result.rows]
     failure = {"scene": "far_" * 20, "stage": "ingest", "reason": f"/{'long/' * 30}: not there"}
@@ -116,7 +116,7 @@ def test_nothing_is_off_the_screen_of_a_telephone(width, result, truth, browser,
         assert tab.complaints == []
 
 
-def test_the_stage_that_lost_a_query_is_named_beside_it(result, truth):
+def test_run_report_names_the_stage_of_a_miss(result, truth):
     worst = min((r for r in leading(result) if r["iou"] is not None), key=lambda r: r["iou"])
     ious = [name for name in load_spec("attribution").columns if name.endswith("iou")]
     question = {name: worst[name] for name in ("dataset", "scene", "frame", "query")}
@@ -129,7 +129,7 @@ def test_the_stage_that_lost_a_query_is_named_beside_it(result, truth):
     assert [line[:3] for line in table[1:]] == [["language", "1", "0.250"], ["all", "1", "0.250"]]
 
 
-def test_names_are_text_and_never_markup(result):
+def test_run_report_escapes_names(result):
     odd = "<b>&|*"
     rows = [{**result.rows[0], "query": odd, "frame": "view_01", "iou": 0.1, "hit_mask": True}]
     names = f"relevancy/view_01/{odd}", f"mask/view_01/{odd}"
@@ -146,7 +146,7 @@ def test_names_are_text_and_never_markup(result):
     assert plain(line) == f"- **{odd}** (<script>x</script>, view_01): IoU 0.10, point ✓"
 
 
-def test_without_labels_there_are_pictures_and_no_scores(result, truth):
+def test_run_report_has_pictures_without_labels(result, truth):
     rows = [row for row in result.rows if row["frame"] == "halfway"]
     bare = replace(result, rows=rows, scene_metrics={"near": 1.0, "far": 2.0})
     page = Page(run_report([make_scene(bare, truth)], MANIFEST).as_html())
@@ -158,7 +158,7 @@ def test_without_labels_there_are_pictures_and_no_scores(result, truth):
     assert any(alt.startswith("relevancy of") for alt in alts)
 
 
-def test_the_worst_answers_are_few_of_a_scene_and_a_query_is_one_of_them_once():
+def test_worst_answers_are_limited_per_scene_and_query():
     def row(scene, query, iou, hit=True, frame="f"):
         hits = {"hit_mask": hit, "hit_box": hit}
         return {"scene": scene, "frame": frame, "query": query, "iou": iou, **hits}
@@ -176,7 +176,7 @@ def test_the_worst_answers_are_few_of_a_scene_and_a_query_is_one_of_them_once():
     assert worst == [("a", "0"), ("b", "q"), ("a", "1"), ("c", "q")]
 
 
-def test_the_example_is_the_scene_of_median_iou(result, truth):
+def test_choose_example_returns_the_scene_of_median_iou(result, truth):
     metrics = [{"iou": 0.9}, {"iou": 0.1}, {"iou": 0.5}, {}]
     scenes = [replace(make_scene(result, truth, name=str(m)), metrics=m) for m in metrics]
     assert choose_example(scenes) is scenes[2]

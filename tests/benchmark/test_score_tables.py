@@ -17,7 +17,7 @@ def make_rows(method: str, *ious: float, places=None, **columns) -> list[dict]:
     ]
 
 
-def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
+def test_method_tables_mark_and_rank_the_best():
     rows = make_rows("c", 0.4994) + make_rows("a", 0.50004) + make_rows("b", 0.5, share=0.5)
     (table,) = method_tables(Rows.from_rows(rows))
     assert [(row[0].value, row[1].value, row[1].mark) for row in table.rows] == [
@@ -29,7 +29,7 @@ def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
     assert table.notes[:2] == [f"slgaussian@2: {common}.", f"b: {common.replace('0.7', '0.5')}."]
 
 
-def test_data_sets_and_protocols_are_apart():
+def test_method_tables_separate_data_sets_and_protocols():
     other = {"protocol": "3d-ovs@2", "accuracy": 0.5}
     rows = make_rows("a", None, **other) + make_rows("a", 0.5) + make_rows("a", 0.7, dataset="e")
     tables = method_tables(Rows.from_rows(rows))
@@ -60,7 +60,7 @@ SPREAD = np.linspace(0.1, 0.9, 8)
         ([0.6] * 8, [0.5] * 8, "abcdefgg", ("+0.100", "better")),
     ],
 )
-def test_a_difference_is_beyond_noise_or_not(ours, theirs, places, cell):
+def test_difference_tables_mark_significance(ours, theirs, places, cell):
     pair = make_rows("a", *ours, places=places), make_rows("b", *theirs, places=places)
     (difference,) = found = differences(*pair)
     (table,) = difference_tables({"b": found})

@@ -17,13 +17,13 @@ STEPS = st.integers(0, 4)  # few, so that many are equal
 
 
 @given(st.lists(st.tuples(STEPS, STEPS), max_size=8))
-def test_the_front_is_what_no_other_beats(points):
+def test_pareto_front_equals_its_definition(points):
     for x, y in points:
         beaten = any((a, b) != (x, y) and a <= x and b <= y for a, b in points)
         assert ((x, y) in pareto_front(points)) == (not beaten)
 
 
-def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):
+def test_speed_blocks_show_scores_costs_and_the_paper(result):
     name, other = result.dataset, "no-bank"
     times = Times(
         {"field": StageCost(1.25, 0.75, 30.0), "masks": StageCost(3.75, 1.5)},

@@ -19,7 +19,7 @@ def make_result(scene, *ious, method="m", dataset="d"):
     return SceneResult(scene, Rows.from_rows(rows + other), metrics, {}, {}, dataset, method)
 
 
-def test_the_mean_has_an_interval_and_says_by_what():
+def test_scenes_text_has_means_intervals_and_conditions():
     lines = scenes_text([make_result("a", 0.2, 0.4), make_result("b", 0.9)]).splitlines()
     assert [line.split() for line in lines[:-1]] == [
         ["Scene", "IoU", "PSNR"],
@@ -33,7 +33,7 @@ def test_the_mean_has_an_interval_and_says_by_what():
     )
 
 
-def test_one_scene_has_no_interval_and_no_scene_no_numbers():
+def test_scenes_text_omits_intervals_of_one_scene():
     *_, mean, by = scenes_text([make_result("a", 0.5)]).splitlines()
     assert mean.split() == ["mean", "0.500", "20.0"]
     assert by.endswith("1 sample of 1 scene; one place: no interval")
@@ -42,7 +42,7 @@ def test_one_scene_has_no_interval_and_no_scene_no_numbers():
     assert scenes_text([]) == ""
 
 
-def test_the_exit_status_of_a_comparison_gates_by_losses_and_absent_scenes(slg, tmp_path):
+def test_compare_exits_by_losses_and_absent_scenes(slg, tmp_path):
     """Three scenes lose 0.03, 0.03 and 0, by 0.02 in the mean; mIoU, which falls, is no gate."""
 
     def leave(name, *ious, **columns):

@@ -106,7 +106,7 @@ def command(folder: Path, out: str = "out", *more: str) -> list[str]:
     return ["train", *map(str, arguments), *more]
 
 
-def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
+def test_train_writes_all_files_and_reuses_results(tmp_path, slg):
     table = make_lessons(tmp_path, range(12))
     status, _, errors = slg(*command(tmp_path, "out", *FEW))
     assert status == 0 and "branch  train  cached" not in errors
@@ -139,7 +139,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
     assert files_below(tmp_path / "again") == files
 
 
-def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch):
+def test_train_command_resumes_to_the_same_bytes_after_a_kill(tmp_path, monkeypatch):
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()
         make_lessons(tmp_path / name, range(6))
@@ -177,7 +177,7 @@ def count_steps(monkeypatch) -> list[int]:
     return steps
 
 
-def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, refusal):
+def test_train_command_refuses_unusable_input(tmp_path, monkeypatch, refusal):
     make_lessons(tmp_path, range(6))
     monkeypatch.chdir(tmp_path)
     for words, expected in (
@@ -202,7 +202,7 @@ def bad_branch() -> bytes:
     return save_branch(branch)
 
 
-def test_only_better_weights_are_put_to_use(tmp_path):
+def test_retrain_promotes_better_weights_only(tmp_path):
     from flows.retraining import learn
 
     store, versions = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models")
@@ -245,7 +245,7 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
-def test_three_nights_promote_refuse_and_are_rolled_back(tmp_path, slg):
+def test_retrain_promotes_refuses_and_rolls_back(tmp_path, slg):
     """Lessons in which the branch can win; the second night trains too little to be better."""
     from flows.retraining import learn
 
@@ -264,7 +264,7 @@ def test_three_nights_promote_refuse_and_are_rolled_back(tmp_path, slg):
         print(night.number, night.facts["counts"], night.facts["scores"]["iou"], night.why)
 
 
-def test_versions_are_listed_and_put_to_use(tmp_path, slg, refusal):
+def test_versions_command_lists_and_uses_versions(tmp_path, slg, refusal):
     versions = Versions(tmp_path / "models")
     for _ in range(2):
         versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, False, "too few clips")

@@ -92,7 +92,7 @@ def reference_network(weights: dict[str, np.ndarray], codes: np.ndarray) -> np.n
 
 
 @pytest.mark.parametrize("size", [(24, 32), (17, 5), (9, 14)])
-def test_network_matches_the_paper_in_float64(size):
+def test_branch_equals_the_paper_in_float64(size):
     branch = make_branch(SMALL, 3).double()
     codes = np.random.default_rng(0).random((2, *size, 3))
     with torch.no_grad():
@@ -103,7 +103,7 @@ def test_network_matches_the_paper_in_float64(size):
     assert (features[..., 3] == 1).all()
 
 
-def test_loss_is_the_mean_squared_error_over_all_pixels():
+def test_loss_equals_the_mean_squared_error():
     """Rendered codes against codes; unlabelled pixels are (0, 0, 0); no weight decay."""
     example = lesson()
     targets = example.targets.copy()
@@ -133,14 +133,14 @@ def test_loss_is_the_mean_squared_error_over_all_pixels():
     assert np.array_equal(Lesson.from_arrays(partly.to_arrays()).opaque, opaque)
 
 
-def test_weights_depend_on_the_seed_alone_and_the_global_generator_is_unused():
+def test_make_branch_depends_on_the_seed_only():
     state = torch.random.get_rng_state()
     first, same, different = (save_branch(make_branch(SMALL, seed)) for seed in (1, 1, 2))
     assert torch.equal(torch.random.get_rng_state(), state)
     assert first == same != different
 
 
-def test_stored_branch_lifts_as_before(tmp_path):
+def test_load_branch_restores_the_lifting(tmp_path):
     branch, example = perturbed_branch(), lesson()
     (tmp_path / "b.safetensors").write_bytes(save_branch(branch))
     maps = label_maps(example.labels)
@@ -151,7 +151,7 @@ def test_stored_branch_lifts_as_before(tmp_path):
     assert expected.shape == (len(example.gaussians), 4)
 
 
-def test_invalid_weights_are_refused(tmp_path):
+def test_load_branch_refuses_invalid_weights(tmp_path):
     with pytest.raises(InputError, match="no weights are given; train some"):
         load_lifting("branch")
     file, weights = tmp_path / "b.safetensors", save_branch(perturbed_branch())
@@ -173,7 +173,7 @@ def test_invalid_weights_are_refused(tmp_path):
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3))
-def test_filled_labels_match_a_search_over_all_distances(seed, views):
+def test_fill_from_other_views_equals_a_full_search(seed, views):
     rng = np.random.default_rng(seed)
     shape, n = (views, 4, 5), rng.integers(0, 40)
     gaussians = Gaussians(
@@ -199,7 +199,7 @@ def test_filled_labels_match_a_search_over_all_distances(seed, views):
     np.testing.assert_array_equal(labels, before)
 
 
-def test_unlabelled_pixels_are_filled_from_the_other_view():
+def test_filled_lifting_labels_pixels_from_the_other_view():
     example = lesson()
     gaussians, labels = example.gaussians, example.labels.copy()
     labels[0, 5:9, 10:20] = 0
@@ -216,7 +216,7 @@ def test_unlabelled_pixels_are_filled_from_the_other_view():
     assert torch.equal(unfilled, HardIndex()(one_view, maps, bank).features)
 
 
-def test_bytes_do_not_depend_on_the_thread_count():
+def test_branch_lifting_gives_equal_bytes_on_any_number_of_threads():
     example, before = lesson(size=(64, 64)), torch.get_num_threads()
     maps = label_maps(example.labels)
     lifting = BranchLifting(perturbed_branch(Architecture()))

@@ -18,14 +18,14 @@ def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as f
     return pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
 
 
-def test_a_clip_counts_once_however_many_lessons_it_has():
+def test_clip_scores_weight_clips_equally():
     table = judged({"branch": [0.9, 0.7, 0.4], "hard": [0.5, 0.5, 0.5]}, ["a", "a", "b"])
     assert clip_scores(table)["branch"] == pytest.approx([0.8, 0.4])
     comparison = gain(table, "hard")
     assert comparison.samples == 2 and comparison.difference == pytest.approx(0.1)
 
 
-def test_a_gain_within_noise_is_none():
+def test_gate_rejects_a_gain_within_noise():
     """Weights are promoted only if the complete interval of the gain is above 0."""
     noise = [0.03, -0.03, 0.02, -0.02, 0.025, -0.025, 0.01, -0.01]  # standard error 0.0075
     verdicts = {}
@@ -41,7 +41,7 @@ def test_a_gain_within_noise_is_none():
     )
 
 
-def test_few_clips_never_are_enough():
+def test_gate_needs_enough_clips():
     five_clips, enough = (
         gate(judged({"branch": [0.9] * n, "hard": [0.1] * n}, list("abcdefgh"[:n])), {"hard": "it"})
         for n in (MIN_SAMPLES - 1, MIN_SAMPLES)
@@ -75,13 +75,13 @@ def with_means(**means: float) -> pa.Table:
         (0.54, 0.5, 0.51, True, "better than version 1: +0.04"),
     ],
 )
-def test_the_gate_asks_for_more_than_the_best_of_all(before, hard, filled, better, why):
+def test_gate_compares_with_the_best_rival(before, hard, filled, better, why):
     verdict = gate(with_means(branch=0.58, before=before, hard=hard, filled=filled), RIVALS)
     assert verdict.better == better and verdict.reason.startswith(why)
     assert verdict.reason.endswith("; and than hard and filled") == better
 
 
-def test_what_is_in_use_is_worse_than_no_network_only_beyond_noise():
+def test_regression_needs_a_significant_loss():
     rivals = {"hard": "hard", "filled": "filled"}
     reason = regression(
         with_means(branch=0.5, before=0.55, hard=0.5, filled=0.6), rivals, "version 1"
