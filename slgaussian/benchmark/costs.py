@@ -84,13 +84,9 @@ class StageCost:
     @staticmethod
     def of(metas: Iterable[Row]) -> StageCost:
         """Summarise the metadata of artifacts."""
-        artifacts = list(metas)
-        seconds = [meta["seconds"] for meta in artifacts]
-        return StageCost(
-            sum(seconds),
-            median(seconds) if seconds else 0.0,
-            sum(meta["compiling"] for meta in artifacts),
-        )
+        measured = [(meta["seconds"], meta["compiling"]) for meta in metas]
+        seconds, compiling = zip(*measured, strict=True) if measured else ((0.0,), (0.0,))
+        return StageCost(sum(seconds), median(seconds), sum(compiling))
 
 
 @dataclass(frozen=True)

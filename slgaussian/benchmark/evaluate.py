@@ -371,18 +371,18 @@ class _Recorder:
         )
 
 
-def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
+def _answer(hit: Result | None, truth: np.ndarray, place: str) -> Answer:
     """Return the answer for the protocols; an empty one if the text is not understood."""
     if hit is None:
         nothing = np.zeros(truth.shape, np.float32)
         return Answer(nothing, nothing.astype(bool), None)
     for name, array in (("relevancy", hit.relevancy), ("mask", hit.mask)):
         if array.shape != truth.shape:
-            raise InputError(f"{where}: the {name} is {array.shape}, expected {truth.shape}")
+            raise InputError(f"{place}: the {name} is {array.shape}, expected {truth.shape}")
     low, high = hit.relevancy.min(), hit.relevancy.max()
     if not (low >= 0 and high <= 1):
         raise InputError(
-            f"{where}: relevancy goes from {low} to {high}, expected numbers from 0 to 1"
+            f"{place}: relevancy goes from {low} to {high}, expected numbers from 0 to 1"
         )
     return Answer(hit.relevancy, hit.mask, hit.point)
 

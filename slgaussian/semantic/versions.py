@@ -58,9 +58,9 @@ class Version:
         """Digest of the held-out clips that judged it; empty if they were not split by place."""
         return str(self.facts.get("split", ""))
 
-    def is_comparable_to(self, other: Version) -> bool:
+    def is_comparable_to(self, version: Version) -> bool:
         """Return whether its scores are comparable: of the same held-out clips as another's."""
-        return self.split == other.split != ""
+        return self.split == version.split != ""
 
 
 class Versions:

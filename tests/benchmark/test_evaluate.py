@@ -70,7 +70,7 @@ def test_evaluate_scores_an_unknown_word_as_zero(result):
         assert result.scene_metrics[metric] == pytest.approx(np.mean(scored), abs=1e-12)
 
 
-def test_evaluate_reports_queries_without_truth_unscored(result):
+def test_evaluate_reports_queries_without_truth_but_no_scores(result):
     absent, untold = find_row(result, "red sofa"), find_row(result, "grey floor")
     for row in (absent, untold):
         assert row["iou"] is row["hit_mask"] is row["hit_box"] is row["class_iou"] is None
@@ -182,7 +182,7 @@ class Watched:
             self.asked.append("query")
             self.now += len(texts) + self.once
             self.once = 0
-            return [self.changed(hit) for hit in view.query_all(texts, **rules)]
+            return [self.replace_relevancy(hit) for hit in view.query_all(texts, **rules)]
 
         def segment(texts, **rules):
             self.asked.append("segment")
@@ -197,7 +197,7 @@ class Watched:
             segment=segment,
         )
 
-    def changed(self, hit):
+    def replace_relevancy(self, hit):
         if self.relevancy is None:
             return hit
         names = ("text", "mask", "point", "score", "objects", "unknown")

@@ -122,7 +122,7 @@ def mask_settings(name, width, **rules):
     return how.selection, how.threshold, how.share, how.filter
 
 
-def test_langsplat_filter_is_30_pixels_or_rescaled():
+def test_langsplat_filter_is_30_pixels_or_a_share_of_the_width():
     for name, side in (("langsplat", 30), ("langsplat-rescaled", 8)):
         assert mask_settings(name, 260) == ("stretched", 0.4, None, side)
         mask = plain.langsplat(square()[0], side)[0]

@@ -141,7 +141,7 @@ def test_retrain_records_each_outcome(clips, tmp_path, monkeypatch, slg):
     assert "history.parquet: " in retrain("failed")
 
 
-def test_retrain_records_nothing_if_interrupted(tmp_path, monkeypatch):
+def test_retrain_records_nothing_after_an_interrupt(tmp_path, monkeypatch):
     values = {"sources": ["procedural:1"], "out": tmp_path, "models": tmp_path / "models"}
 
     def interrupt(*arguments):

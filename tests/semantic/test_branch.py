@@ -67,7 +67,7 @@ def reference_network(weights: dict[str, np.ndarray], codes: np.ndarray) -> np.n
     def correlate(image, kernel):
         return signal.correlate2d(image, kernel, "same")
 
-    def halved(image):
+    def halve(image):
         pads = [(0, 0), (0, image.shape[1] % 2), (0, image.shape[2] % 2)]
         quarters = np.pad(image, pads, constant_values=np.nan)
         quarters = [quarters[:, v::2, u::2] for v in (0, 1) for u in (0, 1)]
@@ -77,7 +77,7 @@ def reference_network(weights: dict[str, np.ndarray], codes: np.ndarray) -> np.n
     x = np.maximum(convolve(codes, "stem"), 0)
     for block in range(2):
         inner = np.maximum(convolve(x, f"down.{block}.one", 2), 0)
-        shortcut = convolve(halved(x), f"down.{block}.past")
+        shortcut = convolve(halve(x), f"down.{block}.past")
         x = np.maximum(shortcut + convolve(inner, f"down.{block}.two"), 0)
     # ... up-sampled to the original resolution, added to M, and an MLP to three numbers.
     coarse, (height, width) = convolve(x, "up"), codes.shape[1:]

@@ -35,7 +35,7 @@ def _alone():
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory) -> Path:
+def full_training(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     train(LESSONS, SETTINGS, folder)
     return folder
@@ -55,7 +55,7 @@ def test_train_lowers_the_loss(tmp_path):
 
 
 @pytest.mark.parametrize("step", [2, 7])
-def test_train_resumes_to_the_same_bytes_after_a_kill(tmp_path, uninterrupted, step):
+def test_train_resumes_to_the_same_bytes_after_a_kill(tmp_path, full_training, step):
     script = Path(__file__).with_name("train_and_die.py")
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (script.parent, ROOT)))}
     killed = subprocess.run([sys.executable, script, tmp_path, str(step)], env=env, check=False)
@@ -64,10 +64,10 @@ def test_train_resumes_to_the_same_bytes_after_a_kill(tmp_path, uninterrupted, s
     steps = []
     train(LESSONS, SETTINGS, tmp_path, progress=lambda p: steps.append(p.step))
     assert steps[0] == step // SETTINGS.every * SETTINGS.every + 1
-    assert bytes_in(tmp_path) == bytes_in(uninterrupted)
+    assert bytes_in(tmp_path) == bytes_in(full_training)
 
 
-def test_train_gives_equal_bytes_on_any_number_of_threads(tmp_path, uninterrupted):
+def test_train_gives_equal_bytes_on_any_number_of_threads(tmp_path, full_training):
     before = torch.get_num_threads()
     try:
         for threads in (1, 2):
@@ -76,7 +76,7 @@ def test_train_gives_equal_bytes_on_any_number_of_threads(tmp_path, uninterrupte
             with kernels_on(threads):
                 train(LESSONS, SETTINGS, folder)
             assert torch.get_num_threads() == threads
-            assert bytes_in(folder) == bytes_in(uninterrupted)
+            assert bytes_in(folder) == bytes_in(full_training)
     finally:
         torch.set_num_threads(before)
 
@@ -121,17 +121,17 @@ def test_train_starts_from_given_weights(tmp_path):
         (LESSONS, {"device": ""}, None, "training device: found ''"),
     ],
 )
-def test_train_refuses_unusable_input(uninterrupted, lessons, change, start, sentence):
-    before = bytes_in(uninterrupted)
+def test_train_refuses_unusable_input(full_training, lessons, change, start, sentence):
+    before = bytes_in(full_training)
     with pytest.raises(InputError, match=sentence):
-        train(lessons, SETTINGS.model_copy(update=change), uninterrupted, start)
-    assert bytes_in(uninterrupted) == before
+        train(lessons, SETTINGS.model_copy(update=change), full_training, start)
+    assert bytes_in(full_training) == before
     with pytest.raises(InputError, match="cannot be made"):
-        train(LESSONS, SETTINGS, uninterrupted / CHECKPOINT / "under")
+        train(LESSONS, SETTINGS, full_training / CHECKPOINT / "under")
 
 
-def test_train_refuses_damaged_checkpoints(tmp_path, uninterrupted):
-    state = torch.load(uninterrupted / CHECKPOINT)
+def test_train_refuses_damaged_checkpoints(tmp_path, full_training):
+    state = torch.load(full_training / CHECKPOINT)
     moments = {**state["optimiser"], "state": {0: {"exp_avg": torch.zeros(5)}}}
     for damaged in ({"run": 1}, {"branch": {}}, {"optimiser": moments}, {"metrics": b""}):
         torch.save({**state, **damaged}, tmp_path / CHECKPOINT)

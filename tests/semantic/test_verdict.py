@@ -8,7 +8,7 @@ from slgaussian.benchmark.statistics import MIN_SAMPLES
 from slgaussian.storage.specs import load_spec
 
 
-def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):
+def make_judgements(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):
     rows = [
         {"sample": f"s{k}", "clip": clip, "labels": kind, "lifting": name, "iou": values[k]}
         for k, clip in enumerate(clips)
@@ -19,7 +19,7 @@ def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as f
 
 
 def test_clip_scores_weight_clips_equally():
-    table = judged({"branch": [0.9, 0.7, 0.4], "hard": [0.5, 0.5, 0.5]}, ["a", "a", "b"])
+    table = make_judgements({"branch": [0.9, 0.7, 0.4], "hard": [0.5, 0.5, 0.5]}, ["a", "a", "b"])
     assert clip_scores(table)["branch"] == pytest.approx([0.8, 0.4])
     comparison = gain(table, "hard")
     assert comparison.samples == 2 and comparison.difference == pytest.approx(0.1)
@@ -31,7 +31,7 @@ def test_gate_rejects_a_gain_within_noise():
     verdicts = {}
     for step in (0.005, 0.01, 0.03):
         scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
-        table = judged(scores, list("abcdefgh"))
+        table = make_judgements(scores, list("abcdefgh"))
         verdict, comparison = gate(table, {"hard": "no branch"}), gain(table, "hard")
         assert comparison.difference > 0 and verdict.better == (comparison.low > 0)
         verdicts[step] = verdict
@@ -41,15 +41,12 @@ def test_gate_rejects_a_gain_within_noise():
     )
 
 
-def test_gate_needs_enough_clips():
-    five_clips, enough = (
-        gate(judged({"branch": [0.9] * n, "hard": [0.1] * n}, list("abcdefgh"[:n])), {"hard": "it"})
-        for n in (MIN_SAMPLES - 1, MIN_SAMPLES)
-    )
-    assert not five_clips.better and five_clips.reason.startswith(
-        "too few clips to tell it from it"
-    )
-    assert enough.better
+@pytest.mark.parametrize("count", [MIN_SAMPLES - 1, MIN_SAMPLES])
+def test_gate_needs_enough_clips(count):
+    scores = {"branch": [0.9] * count, "hard": [0.1] * count}
+    verdict = gate(make_judgements(scores, list("abcdefgh"[:count])), {"hard": "it"})
+    assert verdict.better == (count == MIN_SAMPLES)
+    assert verdict.better or verdict.reason.startswith("too few clips to tell it from it")
 
 
 NOISE = [0.01, -0.01, 0.008, -0.008, 0.011, -0.011, 0.003, -0.003]
@@ -62,7 +59,7 @@ def with_means(**means: float) -> pa.Table:
         name: [mean + noise for noise in NOISE[shift:] + NOISE[:shift]]
         for shift, (name, mean) in enumerate(means.items())
     }
-    return judged(scores, list("abcdefgh"))
+    return make_judgements(scores, list("abcdefgh"))
 
 
 @pytest.mark.parametrize(
@@ -89,5 +86,5 @@ def test_regression_needs_a_significant_loss():
     assert reason.startswith("version 1, in use, is worse than filled: -0.05")
     assert not regression(with_means(branch=0.5, before=0.6, hard=0.5, filled=0.601), rivals, "1")
     assert not regression(with_means(branch=0.5, hard=0.6, filled=0.6), rivals, "version 1")
-    five_clips = judged({"before": [0.1] * 5, "hard": [0.9] * 5}, list("abcde"))
+    five_clips = make_judgements({"before": [0.1] * 5, "hard": [0.9] * 5}, list("abcde"))
     assert not regression(five_clips, rivals, "version 1")

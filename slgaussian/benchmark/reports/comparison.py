@@ -118,9 +118,9 @@ def compare_runs(runs: Sequence[Run]) -> tuple[model.Report, list[dict[str, Any]
     return model.Report("Comparison of runs", [model.Prose(SUMMARY)], sections), rows
 
 
-def _as_rows(found: Sequence[Difference]) -> Iterator[dict[str, Any]]:
+def _as_rows(compared: Sequence[Difference]) -> Iterator[dict[str, Any]]:
     ranking: dict[str, tuple[str, str]] = {}
-    for d in found:
+    for d in compared:
         first_score = d.protocol, scores_of(d.protocol)[0].metric
         row: dict[str, Any] = {n: getattr(d, n) for n in ("dataset", "protocol", "metric")}
         row["decides"] = ranking.setdefault(d.dataset, first_score) == (d.protocol, d.metric)
