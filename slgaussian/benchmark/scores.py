@@ -71,8 +71,7 @@ class Rows(Sequence[Row]):
             yield from batch.to_pylist()
 
     def __getitem__(self, index: Any) -> Any:
-        rows = self.table.take(np.atleast_1d(np.arange(len(self))[index])).to_pylist()
-        return rows if isinstance(index, slice) else rows[0]
+        return self.table.slice(index, 1).to_pylist()[0]
 
     def values(self, column: str) -> list[Any]:
         """Return the different values of a column, in order of appearance."""
