@@ -131,7 +131,7 @@ class _Sample(NamedTuple):
 def _sample(row: Row) -> _Sample:
     values = (row[column] for column in METRICS.values())
     numbers = tuple(None if value is None else float(value) for value in values)
-    return _Sample(*map(intern, (row["scene"], row["frame"], find_place(row))), numbers)
+    return _Sample(intern(row["scene"]), intern(row["frame"]), intern(find_place(row)), numbers)
 
 
 def find_place(row: Row) -> str:
@@ -172,7 +172,7 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
         settings[names].add(tuple(row[column] for column in (*SETTING_COLUMNS, "filter")))
     table: list[dict[str, Any]] = []
     for names, samples in groups.items():
-        common = dict(zip(GROUP_COLUMNS, names, strict=True))
+        common: dict[str, Any] = dict(zip(GROUP_COLUMNS, names, strict=True))
         common |= {"level": CONFIDENCE_LEVEL} | _settings(common, settings[names])
         place_of_scene = {sample.scene: sample.place for sample in samples}
         for k, metric in enumerate(METRICS):
