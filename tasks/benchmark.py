@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
@@ -182,21 +182,27 @@ def report(
 
     It contains no timings, so that it is reproducible.
     """
-    report_scenes = [_report_scene(run.store, scored) for scored in scenes]
+    report_scenes: list[Scene] = []
+
+    def samples() -> Iterator[Mapping[str, Any]]:
+        for scored in scenes:
+            refs = [scored.answer, *scored.others.values()]
+            results = [result_from_arrays(run.store.get(ref)) for ref in refs]
+            report_scenes.append(_report_scene(run.store, scored, results[0]))
+            yield from (row for result in results for row in result.rows)
+
+    rows = Rows.from_rows(samples())
     lost = Rows.join((Rows(run.store.get(scored.attribution)) for scored in scenes), "attribution")
-    page = run_report(report_scenes, manifest, failures, lost)
+    page = run_report(report_scenes, rows, manifest, failures, lost)
     forms = {"html": page.as_html(), "markdown": page.as_markdown()}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
     return run.store.put("report", arrays)
 
 
-def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
-    refs = [scored.answer, *scored.others.values()]
-    ours, *others = (result_from_arrays(store.get(ref)) for ref in refs)
+def _report_scene(store: ArtifactStore, scored: Scored, ours: SceneResult) -> Scene:
     return Scene(
         name=scored.scene,
         dataset=ours.dataset,
-        rows=Rows.from_rows(row for result in (ours, *others) for row in result.rows),
         metrics=ours.scene_metrics,
         pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,

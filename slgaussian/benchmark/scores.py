@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from sys import intern
 from typing import Any, NamedTuple, Self
 
@@ -54,8 +55,11 @@ class Rows(Sequence[Row]):
 
     @classmethod
     def from_rows(cls, rows: Iterable[Row], spec: str = "samples") -> Self:
-        """Keep rows of a spec; columns that they lack are null."""
-        return cls(pa.Table.from_pylist(list(rows), schema=load_spec(spec).schema))
+        """Keep rows of a spec, of which :data:`BATCH` are mappings; missing columns are null."""
+        schema, unread = load_spec(spec).schema, iter(rows)
+        batches = iter(lambda: list(islice(unread, BATCH)), [])
+        tables = (pa.Table.from_pylist(batch, schema=schema) for batch in batches)
+        return cls(pa.concat_tables([schema.empty_table(), *tables]).combine_chunks())
 
     @classmethod
     def join(cls, parts: Iterable[Self], spec: str = "samples") -> Self:

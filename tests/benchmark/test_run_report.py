@@ -24,12 +24,16 @@ def truth(room):
     return room.strange_truth
 
 
-def make_scene(result: SceneResult, truth, *rivals, name: str = "") -> Scene:
-    """Return a scene of a report, with rows of other methods."""
-    name = name or result.scene
-    rows = [{**row, "scene": name} for rows in (result.rows, *rivals) for row in rows]
+def make_scene(result: SceneResult, truth, name: str = "") -> Scene:
     data = (lambda: result.pictures), (lambda: truth), (lambda: result.predictions)
-    return Scene(name, result.dataset, Rows.from_rows(rows), result.scene_metrics, *data)
+    return Scene(name or result.scene, result.dataset, result.scene_metrics, *data)
+
+
+def report_one(result, truth, rivals=(), *details, name: str = "") -> Report:
+    """Make the report of one scene, with rows of other methods."""
+    scene = make_scene(result, truth, name)
+    rows = Rows.from_rows({**row, "scene": scene.name} for row in (*result.rows, *rivals))
+    return run_report([scene], rows, MANIFEST, *details)
 
 
 def make_report(result, truth) -> Report:
@@ -39,7 +43,7 @@ def make_report(result, truth) -> Report:
         | {k: row[k] / 2 for k in ("iou", "boundary_iou", "class_iou") if row[k] is not None}
         for row in result.rows
     ]
-    return run_report([make_scene(result, truth, half)], MANIFEST)
+    return report_one(result, truth, half)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +106,7 @@ def test_run_report_fits_narrow_and_wide_screens(width, result, truth, browser, 
     methods = "slgaussian", "slgaussian, depth_candidates=32, min_visible=5"
     rival = [{**row, "method": methods[1]} for row in result.rows]
     failure = {"scene": "far_" * 20, "stage": "ingest", "reason": f"/{'long/' * 30}: not there"}
-    page = run_report([make_scene(result, truth, rival)], MANIFEST, [failure]).as_html()
+    page = report_one(result, truth, rival, [failure]).as_html()
     costs = [Cost(result.dataset, name, 0.5, 0.1, 0.2, 2.0, 9) for name in methods]
     times = Times({}, {"machine": "a machine " * 20}, costs)
     file = tmp_path / "report.html"
@@ -121,9 +125,8 @@ def test_run_report_names_the_stage_of_a_miss(result, truth):
     ious = [name for name in load_spec("attribution").columns if name.endswith("iou")]
     question = {name: worst[name] for name in ("dataset", "scene", "frame", "query")}
     row = {**question, **dict.fromkeys(ious, 0.25), "lost": "language"}
-    report = run_report(
-        [make_scene(result, truth)], MANIFEST, (), Rows.from_rows([row], "attribution")
-    )
+    lost = Rows.from_rows([row], "attribution")
+    report = report_one(result, truth, (), (), lost)
     assert "lost by language" in Page(report.as_html()).text
     table = next(t for t in read_tables(report.as_markdown()) if t[0][0] == "Responsible stage")
     assert [line[:3] for line in table[1:]] == [["language", "1", "0.250"], ["all", "1", "0.250"]]
@@ -137,8 +140,7 @@ def test_run_report_escapes_names(result):
     mask = np.ones((104, 144), bool)
     predictions = {("slgaussian@2", "view_01", odd): mask}
     strange = replace(result, rows=rows, predictions=predictions, pictures=pictures)
-    scene = make_scene(strange, {"view_01": {odd: mask}}, name="<script>x</script>")
-    report = run_report([scene], MANIFEST)
+    report = report_one(strange, {"view_01": {odd: mask}}, name="<script>x</script>")
     page = Page(report.as_html())
     assert page.tags.count("script") == 1 and "const large" in page.script
     assert "<script>x</script>" in page.text and odd in page.text
@@ -149,7 +151,7 @@ def test_run_report_escapes_names(result):
 def test_run_report_has_pictures_without_labels(result, truth):
     rows = [row for row in result.rows if row["frame"] == "halfway"]
     bare = replace(result, rows=rows, scene_metrics={"near": 1.0, "far": 2.0})
-    page = Page(run_report([make_scene(bare, truth)], MANIFEST).as_html())
+    page = Page(report_one(bare, truth).as_html())
     assert "1 query without ground truth, not scored" in page.text
     for words in ("Scores", "The paper's tables", "best baseline", "Lowest scores"):
         assert words not in page.text

@@ -47,13 +47,12 @@ VIEW_PICTURES = {
 class Scene:
     """One scene of a report; pictures and masks are read on demand, one scene at a time.
 
-    ``rows`` are of the spec ``samples``, our method first; ``metrics``, ``pictures`` and ``masks``
-    (by protocol, frame and query) are of our result, ``truth`` are labelled masks.
+    ``metrics``, ``pictures`` and ``masks`` (by protocol, frame and query) are of our result,
+    ``truth`` are labelled masks.
     """
 
     name: str
     dataset: str
-    rows: Rows
     metrics: Mapping[str, float]
     pictures: Callable[[], Images]
     truth: Callable[[], Mapping[str, Images]]

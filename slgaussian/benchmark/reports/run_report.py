@@ -56,6 +56,7 @@ CARD_TERMS = model.terms(
 
 def run_report(
     scenes: Sequence[examples.Scene],
+    rows: Rows,
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]] = (),
     attribution: Rows | None = None,
@@ -63,13 +64,13 @@ def run_report(
     """Make the report of a run.
 
     Args:
+        rows: Rows of the spec ``samples`` of all scenes, our method first.
         manifest: Versions, settings and data, nested mappings allowed. Entries of ``data``, by
             scene, have ``format``, ``scene`` and ``published``, whether it is a scene of the
             paper's tables, and ``cameras``, the source of the cameras.
         failures: Scenes left out: ``scene``, ``stage``, ``reason``.
         attribution: Rows of the spec ``attribution``: cause of each miss of our method.
     """
-    rows = Rows.join(scene.rows for scene in scenes)
     lost = Rows.join([] if attribution is None else [attribution], "attribution")
     methods = rows.values("method")
     ours = next(iter(methods), "")
