@@ -75,7 +75,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     ground truth. The field must answer it with "found" in its first context view, the default view
     of queries. None if there is no such query.
     """
-    rows_by_query: dict[str, list[dict[str, Any]]] = {}
+    rows_by_query: dict[str, list[Mapping[str, Any]]] = {}
     for row in result.rows:
         if row["protocol"] == result.rows[0]["protocol"] and not row["note"]:
             rows_by_query.setdefault(row["query"], []).append(row)
