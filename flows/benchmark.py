@@ -8,7 +8,7 @@ import platform
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +48,9 @@ from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.lineage import lineage_table
-from slgaussian.benchmark.outputs import Masks, write_costs, write_masks, write_samples, write_table
+from slgaussian.benchmark.outputs import Masks, write_masks, write_samples, write_table
 from slgaussian.benchmark.reports.run_report import with_times
+from slgaussian.benchmark.scores import Rows
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 from slgaussian.kernels import threads
@@ -256,20 +257,22 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
     """Write all outputs; return the results without images, of which there may be thousands."""
     out = settings.out
     write_failures(out, computed.failures)
-    results, costs = list[SceneResult](), list[dict[str, Any]]()
+    results, parts = list[SceneResult](), list[Rows]()
 
     def masks() -> Iterator[tuple[str, str, Masks]]:
         for _, ref, seconds in computed.answers:
             arrays = store.get(ref)
             result = result_from_arrays(arrays)
-            results.append(result)
-            costs.extend({**row, "build_seconds": seconds} for row in ref.meta["costs"])
+            results.append(replace(result, rows=Rows.from_rows(result.rows)))
+            answers = ({**row, "build_seconds": seconds} for row in ref.meta["costs"])
+            parts.append(Rows.from_rows(answers, "times"))
             yield result.method, result.scene, predictions_of(arrays)
 
     write_masks(masks(), out)
-    rows = [row for result in results for row in result.rows]
+    rows = Rows.join(result.rows for result in results)
     write_samples(rows, out)
-    write_costs(costs, out)
+    costs = Rows.join(parts, "times")
+    write_table("times", costs.table, out)
     lost = [store.get(scored.attribution) for scored in computed.scored]
     empty = load_spec("attribution").schema.empty_table()
     write_table("attribution", pa.concat_tables([empty, *lost]), out)

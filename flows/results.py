@@ -118,7 +118,7 @@ def manifest(
         "seed": settings.seed,
         "settings": settings.model_dump(mode="json", include=names)
         | settings.field_method.identity(),
-        "methods": {name: _described(row) for name, row in baselines.items()},
+        "methods": {name: _describe_method(row) for name, row in baselines.items()},
         "protocols": [protocol.label for protocol in PROTOCOLS.values()],
         "weights": _weights(settings),
         "stages": {stage.name: stage.version for stage in stages},
@@ -128,7 +128,7 @@ def manifest(
     }
 
 
-def _described(row: Row) -> str:
+def _describe_method(row: Row) -> str:
     text = ", ".join(f"{name} {value}" for name, value in {**row.settings, **row.rules}.items())
     name = f"{row.method} of {row.package_identity}" if row.package_identity else row.method
     return f"{name} ({text})" if text else name

@@ -21,7 +21,7 @@ from flows.config import RetrainSettings, Training
 from flows.runners.session import check_folder, final, publish, run_session, writing
 from flows.training import FILES, part_lessons, read_lessons, train_on
 from slgaussian.benchmark.reports.model import append_section, data_uri
-from slgaussian.benchmark.reports.retrainings import history_plot, history_section
+from slgaussian.benchmark.reports.training import history_plot, history_section
 from slgaussian.benchmark.retrainings import History, count_lessons, score_columns, summaries
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.datasets.splits import SPLITS, Split, read_split
@@ -187,7 +187,7 @@ def learn(
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
-    recorded = read_split(settings.models) or _earlier_split(table, incumbent)
+    recorded = read_split(settings.models) or _earlier_places(table, incumbent)
     views = settings.out / corpus.FILES["views"]
     lessons = part_lessons(table, views, settings.held_out, recorded, settings.models)
     split = lessons.split
@@ -200,7 +200,7 @@ def learn(
     start, rivals = None, NO_NETWORK
     if incumbent is not None:
         start, rivals = versions.weights(incumbent), {"before": used, **NO_NETWORK}
-    trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
+    trained = train_on(lessons, settings, start, store, verbose)
     trained.write(settings.out)
     judgements = trained.judgements
     decision = gate(judgements, rivals)
@@ -209,7 +209,7 @@ def learn(
     learnt_clips = sorted(map(mark_clip, lessons.learnt["clip"].unique().to_pylist()))
     facts: dict[str, Any] = {"asked": requested, "counts": lessons.counts(), "scores": scores}
     facts |= {"learnt_clips": learnt_clips, "split": split.digest}
-    added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
+    added = versions.add(trained.weights, facts, decision.better, decision.reason, incumbent)
     if added.promoted:
         return Learnt(f"version {added.number} promoted: {added.why}", added, split)
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
@@ -217,7 +217,7 @@ def learn(
     return Learnt(message, added, split, regressed)
 
 
-def _earlier_split(table: pa.Table, incumbent: Version | None) -> list[dict[str, str]]:
+def _earlier_places(table: pa.Table, incumbent: Version | None) -> list[dict[str, str]]:
     """Return rows of spec ``places`` for weights from before there was one: each clip its place."""
     if incumbent is None:
         return []

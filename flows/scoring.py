@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from flows.scene import evaluation, labels, photographs, target_size
 from flows.scenes import folder_of
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth
-from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.external_predictions import (
     SCORABLE,
     JudgedScene,
@@ -25,15 +24,16 @@ from slgaussian.benchmark.external_predictions import (
 )
 from slgaussian.benchmark.outputs import write_masks, write_samples
 from slgaussian.benchmark.protocols import load_protocol
+from slgaussian.benchmark.scores import Rows
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Results by scene and method, without masks, and messages for the user."""
+    """Samples of all methods, the counted masks, and messages for the user."""
 
-    results: list[SceneResult]
+    samples: Rows
     predictions: Predictions
     messages: list[str]
 
@@ -69,22 +69,22 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     by_labels = settings.data and settings.pairs is None and settings.rooms is None
     scenes, messages = ([], []) if by_labels else scenes_of(settings)
     judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
-    results, masks = [], []
+    parts, masks = [], []
     for result in score_predictions(predictions, judged, chosen):
-        masks.append({key: rle.encode(mask) for key, mask in result.predictions.items()})
-        results.append(replace(result, predictions={}))
+        parts.append(Rows.from_rows(result.rows))
+        encoded = {key: rle.encode(mask) for key, mask in result.predictions.items()}
+        masks.append((result.method, result.scene, encoded))
     if not predictions.used:
-        listed = ", ".join(predictions.unused[:3])
+        listed = ", ".join(predictions.extra[:3])
         raise InputError(
             f"{predictions.place}: no mask belongs to a query (found {listed}); name scenes, "
             "frames and queries as the data and labels do"
         )
     check_folder(out)
-    rows = [row for result in results for row in result.rows]
-    scenes_of_masks = zip(results, masks, strict=True)
-    write_masks(((result.method, result.scene, of) for result, of in scenes_of_masks), out)
-    write_samples(rows, out)
-    return Scores(results, predictions, messages)
+    write_masks(masks, out)
+    samples = Rows.join(parts)
+    write_samples(samples, out)
+    return Scores(samples, predictions, messages)
 
 
 def _by_scenes(settings: Settings, scenes: Sequence[SceneSettings]) -> Iterator[JudgedScene]:

@@ -51,7 +51,7 @@ class Combination:
         title = "the field, with other settings"
         return Row(self.settings.method, title, dict(self.fields), {}, variant=True)
 
-    def of(self, scene: SceneSettings) -> SceneSettings:
+    def choose_views(self, scene: SceneSettings) -> SceneSettings:
         """Return the scene with :attr:`views` context views.
 
         Raises:
@@ -96,7 +96,9 @@ def sweep_tasks(
     scene_tasks, failures = [], []
     for variant, scene in product(variants, scenes):
         try:
-            scene_tasks.append(scene_task(variant.settings, variant.of(scene), variant.name))
+            scene_tasks.append(
+                scene_task(variant.settings, variant.choose_views(scene), variant.name)
+            )
         except InputError as error:
             name = method_task_name(scene.name, variant.name)
             failures.append(Failure(name, VIEWS, type(error).__name__, str(error)))

@@ -13,7 +13,7 @@ import pyarrow as pa
 from prefect import flow
 from prefect.states import State
 
-from flows.config import Training, TrainSettings
+from flows.config import RetrainSettings, TrainSettings
 from flows.runners.batches import SceneTask, compute_scene
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, final_state, run_session, writing
@@ -62,14 +62,11 @@ class Parted:
 
     def counts(self) -> dict[str, int]:
         """Return the numbers of lessons and clips of both."""
-        return {
-            f"{name} {kind}": count
-            for name, table in self.tables().items()
-            for kind, count in (
-                ("lessons", table.num_rows),
-                ("clips", len(set(table["clip"].to_pylist()))),
-            )
-        }
+        counts = {}
+        for name, table in self.tables().items():
+            counts[f"{name} lessons"] = table.num_rows
+            counts[f"{name} clips"] = len(table["clip"].unique())
+        return counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +81,9 @@ class Trained:
 
     def write(self, out: Path) -> None:
         """Write the :data:`FILES`; InputError if that fails."""
-        contents = {
-            "weights": self.weights,
-            "metrics": encode_table(self.metrics, load_spec("metrics")),
-            "judgements": encode_table(self.judgements, load_spec("judgements")),
-            "report": self.report,
-        }
+        tables = {"metrics": self.metrics, "judgements": self.judgements}
+        contents = {name: encode_table(table, load_spec(name)) for name, table in tables.items()}
+        contents |= {"weights": self.weights, "report": self.report}
         with writing(out):
             for name, data in contents.items():
                 write_atomic(out / FILES[name], data)
@@ -117,7 +111,7 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
         folders.append(config.start if config.start.is_dir() else config.start.parent)
     recorded = read_split(*folders)
     lessons = part_lessons(table, views, config.held_out, recorded, config.lessons)
-    trained = train_on(lessons, config, config.codes, config.seed, start, store, verbose)
+    trained = train_on(lessons, config, start, store, verbose)
     trained.write(config.out)
     with writing(config.out):
         lessons.split.write(config.out)  # for trainings that start from these weights
@@ -194,9 +188,7 @@ def part_lessons(
 
 def train_on(
     lessons: Parted,
-    options: Training,
-    codes: str,
-    seed: int,
+    options: TrainSettings | RetrainSettings,
     start: Path | None,
     store: ArtifactStore,
     verbose: bool,
@@ -216,8 +208,8 @@ def train_on(
     settings = TrainingSettings(
         **dict(TrainingConfig.of(options)),
         architecture=replace(architecture, **chosen),
-        codes=codes,
-        seed=seed,
+        codes=options.codes,
+        seed=options.seed,
         every=CHECKPOINT_STEPS,
     )
     manifest = {
@@ -234,10 +226,13 @@ def train_on(
         raise InputError(failure.reason)
     course = ArtifactRef("metrics", **artifacts["train"].meta["metrics"])
     metrics, judgements = store.get(course), store.get(artifacts["judge"])
+    last = metrics["loss"].to_numpy()[-max(1, metrics.num_rows // LOSS_TAIL) :]
+    means = judgements.group_by("lifting").aggregate([("iou", "mean")]).sort_by("lifting")
+    iou = dict(zip(means["lifting"].to_pylist(), means["iou_mean"].to_pylist(), strict=True))
     statement = {
         "data": {"lessons": tables[0].digest, "held_out": tables[1].digest},
         **manifest,
-        "metrics": _metrics(metrics, judgements),
+        "metrics": {"loss": float(last.mean()), "held out iou": iou},
     }
     return Trained(
         save_branch(branch_from_arrays(store.get(artifacts["train"])), statement),
@@ -246,14 +241,6 @@ def train_on(
         store.get(artifacts["training_report"])["html"].tobytes(),
         lessons.split.summary,
     )
-
-
-def _metrics(course: pa.Table, judgements: pa.Table) -> dict[str, Any]:
-    """Return the mean loss of the last steps, and the IoU by lifting."""
-    last = course["loss"].to_numpy()[-max(1, course.num_rows // LOSS_TAIL) :]
-    means = judgements.group_by("lifting").aggregate([("iou", "mean")]).sort_by("lifting")
-    iou = dict(zip(means["lifting"].to_pylist(), means["iou_mean"].to_pylist(), strict=True))
-    return {"loss": float(last.mean()), "held out iou": iou}
 
 
 STAGES = (train_stage, judge, training_report)

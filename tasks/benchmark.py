@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
@@ -16,7 +16,7 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.reports.examples import Scene
 from slgaussian.benchmark.reports.run_report import run_report
-from slgaussian.benchmark.scores import GOOD_IOU
+from slgaussian.benchmark.scores import GOOD_IOU, Rows
 from slgaussian.components.config import ComponentConfig
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
@@ -75,7 +75,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     ground truth. The field must answer it with "found" in its first context view, the default view
     of queries. None if there is no such query.
     """
-    rows_by_query: dict[str, list[dict[str, Any]]] = {}
+    rows_by_query: dict[str, list[Mapping[str, Any]]] = {}
     for row in result.rows:
         if row["protocol"] == result.rows[0]["protocol"] and not row["note"]:
             rows_by_query.setdefault(row["query"], []).append(row)
@@ -182,22 +182,27 @@ def report(
 
     It contains no timings, so that it is reproducible.
     """
-    report_scenes = [_report_scene(run.store, scored) for scored in scenes]
-    tables = [run.store.get(scored.attribution) for scored in scenes]
-    lost = [row for table in tables for row in table.to_pylist()]
-    page = run_report(report_scenes, manifest, failures, lost)
+    report_scenes: list[Scene] = []
+
+    def samples() -> Iterator[Mapping[str, Any]]:
+        for scored in scenes:
+            refs = [scored.answer, *scored.others.values()]
+            results = [result_from_arrays(run.store.get(ref)) for ref in refs]
+            report_scenes.append(_report_scene(run.store, scored, results[0]))
+            yield from (row for result in results for row in result.rows)
+
+    rows = Rows.from_rows(samples())
+    lost = Rows.join((Rows(run.store.get(scored.attribution)) for scored in scenes), "attribution")
+    page = run_report(report_scenes, rows, manifest, failures, lost)
     forms = {"html": page.as_html(), "markdown": page.as_markdown()}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
     return run.store.put("report", arrays)
 
 
-def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
-    refs = [scored.answer, *scored.others.values()]
-    ours, *baselines = (result_from_arrays(store.get(ref)) for ref in refs)
+def _report_scene(store: ArtifactStore, scored: Scored, ours: SceneResult) -> Scene:
     return Scene(
         name=scored.scene,
         dataset=ours.dataset,
-        rows=[row for result in (ours, *baselines) for row in result.rows],
         metrics=ours.scene_metrics,
         pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,

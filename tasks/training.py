@@ -75,7 +75,7 @@ def train(
     def tell(progress: Progress) -> None:
         run.report(
             f"step {progress.step} of {progress.steps}, loss {progress.loss:.4f}, "
-            f"{progress.rate:.1f} a second, about {progress.seconds_left:.0f} s left"
+            f"{progress.rate:.1f} a second, about {progress.remaining_seconds:.0f} s left"
         )
 
     store = run.store
@@ -106,27 +106,19 @@ def judge(
     """Score the branch, the weights ``before`` it and the baselines: spec ``judgements``."""
     store = run.store
     stored = StoredLessons(store, store.get(lessons))
-    lifts = liftings(store, branch, before)
+    refs = {"before": before, "branch": branch}
+    liftings: dict[str, Lifting] = {"hard": HardIndex(), "filled": Filled()}
+    for name, ref in refs.items():
+        if ref is not None:
+            liftings[name] = BranchLifting(branch_from_arrays(store.get(ref)))
     rows: list[dict[str, Any]] = []
     for index, (clip, lesson) in enumerate(zip(stored.clips, stored, strict=True)):
         run.report(f"lesson {index + 1} of {len(stored)}")
-        for name, iou in label_iou(lesson, lifts, codes, seed).items():
+        for name, iou in label_iou(lesson, liftings, codes, seed).items():
             row = {"sample": lesson.sample, "clip": clip, "lifting": name}
             rows.append({**row, "iou": None if math.isnan(iou) else iou})
     table = pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
     return store.put("judgements", table, {"lessons": len(stored)})
-
-
-def liftings(
-    store: ArtifactStore, branch: ArtifactRef, before: ArtifactRef | None
-) -> dict[str, Lifting]:
-    """Return the trained branch, the weights ``before`` it if any, and the baselines."""
-    refs = {"before": before, "branch": branch}
-    trained = {
-        name: branch_from_arrays(store.get(ref)) for name, ref in refs.items() if ref is not None
-    }
-    learnt = {name: BranchLifting(branch) for name, branch in trained.items()}
-    return {"hard": HardIndex(), "filled": Filled(), **learnt}
 
 
 @stage("training_report", version=9)

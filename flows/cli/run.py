@@ -133,7 +133,7 @@ def run_scenes(command: str, settings: Any, verbose: bool) -> None:
 
     precompile.begin()
     results = run_flow(command, settings, verbose)
-    from slgaussian.benchmark.reports.terminal import scenes_text
+    from slgaussian.benchmark.reports.score_tables import scenes_text
 
     if results.results:
         typer.echo(scenes_text(results.results))

@@ -40,21 +40,20 @@ def score(
     """
     settings = make_settings(options.settings_from(ctx), "score")
     from flows import scoring
-    from slgaussian.benchmark.reports.terminal import methods_text
+    from slgaussian.benchmark.reports.score_tables import methods_text
 
     scores = scoring.score(settings, predictions, protocols or [], out)
-    rows = [row for result in scores.results for row in result.rows]
     notes, masks = [*scores.messages], scores.predictions
     if masks.missing:
         notes.append(
             f"missing: {len(masks.missing)} of {masks.samples} samples have no mask and count as "
             f"an empty one: {_first_names(list(dict.fromkeys(masks.missing)))}"
         )
-    if masks.unused:
-        notes.append(f"not queried, left out: {_first_names(masks.unused)}")
+    if masks.extra:
+        notes.append(f"not queried, left out: {_first_names(masks.extra)}")
     for note in notes:
         typer.echo(note, err=True)
-    typer.echo(f"{methods_text(rows)}\n{out}")
+    typer.echo(f"{methods_text(scores.samples)}\n{out}")
 
 
 def compare(
@@ -82,7 +81,7 @@ def compare(
     from slgaussian.benchmark.reports import comparison
 
     tables = [comparison.read_run(folder) for folder in runs]
-    report, rows = comparison.compare_runs(tables), comparison.list_differences(tables)
+    report, rows = comparison.compare_runs(tables)
     typer.echo(json.dumps(rows, indent=1, ensure_ascii=False) if as_json else report.as_text())
     if out is not None:
         write_file(out / "compare.html", report.as_html().encode())

@@ -51,7 +51,7 @@ def train(
     typer.echo(table_text([["lifting", "IoU"], *rows]))
     for rival in scores:
         if rival in ("hard", "filled", "before"):
-            typer.echo(gate(judgements, {rival: rival}).why)
+            typer.echo(gate(judgements, {rival: rival}).reason)
     typer.echo(f"{trained.split}  {lessons / 'places.parquet'}")
     typer.echo(f"weights  {out / FILES['weights']}")
     typer.echo(f"report   {out / FILES['report']}")
@@ -120,7 +120,7 @@ def versions(
     rows = [["version", "from", "made", "weights", "gate", "judged on", ""]]
     for version in by_number.values():
         mark, gate = " *" * (version == current), "passed" if version.promoted else "held"
-        judged = version.split if version.shares_split(latest) else "another split"
+        judged = version.split if version.is_comparable_to(latest) else "another split"
         facts = [str(version.parent or "-"), version.made, version.digest[:12], gate, judged]
         rows.append([f"{version.number}{mark}", *facts, version.why])
     typer.echo(table_text(rows, "<>>>>><"))

@@ -109,7 +109,7 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
     return Truth(masks, boxes, opaque)
 
 
-def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
+def find_boxes(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
     """Return the annotated boxes [n, 4], or the bounding box of a mask that is not empty."""
     if annotated is not None:
         return annotated
@@ -137,36 +137,36 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     }
 
 
-def label_files(folder: str | Path, view_name: str, others: Sequence[str] = ()) -> list[Path]:
+def label_files(folder: str | Path, view_name: str, namesakes: Sequence[str] = ()) -> list[Path]:
     """Return the files from which the labels of a frame are read; they may be missing.
 
     Raises:
-        InputError: If they fit one of the ``others`` too, the photographs with its file name.
+        InputError: If they fit one of the ``namesakes`` too, the photographs with its file name.
     """
     folder, stem = Path(folder), name_parts(view_name)[-1]
     if (folder / CLASSES_FILE).is_file():
-        masks = companion(folder, view_name, [""], others) or folder / stem
+        masks = companion(folder, view_name, [""], namesakes) or folder / stem
         return [folder / CLASSES_FILE, *(masks / f"{name}.png" for name in _classes(folder))]
-    return [companion(folder, view_name, [".json"], others) or folder / f"{stem}.json"]
+    return [companion(folder, view_name, [".json"], namesakes) or folder / f"{stem}.json"]
 
 
 def _read_frame(
     folder: Path,
     view_name: str,
-    others: Sequence[str],
+    namesakes: Sequence[str],
     width: int,
     height: int,
     window: Window | None,
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray] | None]:
     """Read masks and boxes of a frame; class masks have no boxes."""
     if (folder / CLASSES_FILE).is_file():
-        files = label_files(folder, view_name, others)[1:]
+        files = label_files(folder, view_name, namesakes)[1:]
         return _read_class_masks(folder, files, width, height, window), None
-    (path,) = label_files(folder, view_name, others)
+    (path,) = label_files(folder, view_name, namesakes)
     record = _read_record(path)
     name, full_w, full_h = record.info.name, record.info.width, record.info.height
     rank = match_rank(name, view_name)
-    if not rank or any(match_rank(name, other) > rank for other in others):
+    if not rank or any(match_rank(name, other) > rank for other in namesakes):
         # With labels shifted by one frame the scores would be wrong without an error.
         raise InputError(f"{path}: was drawn on {name!r}, expected labels of {view_name!r}")
     part = window or Window.covering(full_w, full_h, width, height)

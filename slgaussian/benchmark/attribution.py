@@ -100,7 +100,7 @@ def attribute_errors(
             row |= {"iou": metrics.iou(predicted, mask), "hit": metrics.point_in_mask(point, mask)}
             best_mask = objects.spread(best_objects(objects, field.bank, mask))
             judged = (
-                _cut(hit, objects, mask),
+                _judge_threshold(hit, objects, mask),
                 _judge(best_mask, mask),
                 _judge(drawn[..., column], mask),
             )
@@ -127,7 +127,9 @@ def _judge(mask: np.ndarray, truth: np.ndarray) -> tuple[float, bool]:
     return metrics.iou(mask, truth), inside
 
 
-def _cut(hit: QueryResult | None, objects: ObjectMap, truth: np.ndarray) -> tuple[float, bool]:
+def _judge_threshold(
+    hit: QueryResult | None, objects: ObjectMap, truth: np.ndarray
+) -> tuple[float, bool]:
     """Return the IoU with the best threshold, and whether its point or the best object's hits."""
     if hit is None or not hit.score:
         return 0.0, False

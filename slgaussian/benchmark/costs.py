@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from slgaussian.benchmark.scores import grouped
+import pyarrow.compute as pc
+
+from slgaussian.benchmark.scores import Rows
 from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
@@ -41,32 +43,29 @@ class Cost:
         return self.build + (self.prepare or 0.0) + self.view_query
 
 
-def costs_of(rows: Iterable[Row]) -> list[Cost]:
+def costs_of(rows: Rows) -> list[Cost]:
     """Return one cost per data set and method from rows of the spec ``times``, in their order."""
     costs = []
-    for (dataset, method), answers in grouped(rows, "dataset", "method").items():
-        frames = {(row["scene"], row["frame"]): row for row in answers}.values()
-        scenes = {row["scene"]: row for row in answers}.values()
-        cost = Cost(
-            dataset,
-            method,
-            view_query=_median(frames, "view_seconds"),
-            further_query=_median(answers, "query_seconds"),
-            prepare=_median(scenes, "prepare_seconds"),
-            build=_median(scenes, "build_seconds"),
-            peak=max(_present(scenes, "peak_bytes"), default=None),
-        )
-        costs.append(cost)
+    for dataset in rows.values("dataset"):
+        for method in rows.where(dataset=dataset).values("method"):
+            answers = rows.where(dataset=dataset, method=method)
+            cost = Cost(
+                dataset,
+                method,
+                view_query=_median(answers, "view_seconds", "scene", "frame"),
+                further_query=_median(answers, "query_seconds", "scene", "frame", "query"),
+                prepare=_median(answers, "prepare_seconds", "scene"),
+                build=_median(answers, "build_seconds", "scene"),
+                peak=pc.max(answers.table["peak_bytes"]).as_py(),
+            )
+            costs.append(cost)
     return costs
 
 
-def _present(rows: Iterable[Row], column: str) -> list[Any]:
-    return [row[column] for row in rows if row.get(column) is not None]
-
-
-def _median(rows: Iterable[Row], column: str) -> float | None:
-    measured = _present(rows, column)
-    return median(measured) if measured else None
+def _median(rows: Rows, column: str, *unit: str) -> float | None:
+    """Return the median of a column over frames, scenes or answers; rows of one have one value."""
+    values = {tuple(row[name] for name in unit): row[column] for row in rows.having(column)}
+    return median(values.values()) if values else None
 
 
 @dataclass(frozen=True)
@@ -85,13 +84,9 @@ class StageCost:
     @staticmethod
     def of(metas: Iterable[Row]) -> StageCost:
         """Summarise the metadata of artifacts."""
-        artifacts = list(metas)
-        seconds = [meta["seconds"] for meta in artifacts]
-        return StageCost(
-            sum(seconds),
-            median(seconds) if seconds else 0.0,
-            sum(meta["compiling"] for meta in artifacts),
-        )
+        measured = [(meta["seconds"], meta["compiling"]) for meta in metas]
+        seconds, compiling = zip(*measured, strict=True) if measured else ((0.0,), (0.0,))
+        return StageCost(sum(seconds), median(seconds), sum(compiling))
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def compare_lessons(then: pa.Table, now: pa.Table) -> dict[str, list[Any]]:
     return dict(zip(LISTS, columns, strict=True))
 
 
-def drifted(row: dict[str, Any]) -> list[str]:
+def find_drifts(row: dict[str, Any]) -> list[str]:
     """Return the quantities of a row of spec ``history`` whose drift is beyond noise."""
     drifts = zip(row["quantities"], row["drifts"], row["noises"], strict=True)
     return [name for name, drift, noise in drifts if drift > noise + ROUNDING]

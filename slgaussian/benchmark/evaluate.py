@@ -12,7 +12,7 @@ import numpy as np
 
 from slgaussian import system
 from slgaussian.benchmark import metrics, pictures
-from slgaussian.benchmark.annotations import Truth, boxes_of
+from slgaussian.benchmark.annotations import Truth, find_boxes
 from slgaussian.benchmark.answering import Answering, AnsweringView, Result, understands
 from slgaussian.benchmark.protocols import (
     PROTOCOLS,
@@ -67,7 +67,7 @@ class SceneResult:
     """
 
     scene: str
-    rows: list[dict[str, Any]]
+    rows: Sequence[Mapping[str, Any]]
     scene_metrics: dict[str, float]
     predictions: dict[tuple[str, str, str], np.ndarray]
     pictures: dict[str, np.ndarray]
@@ -153,7 +153,7 @@ def evaluate(
         if understood:
             recorder.query(view, understood[:1])
     for target in sample.targets:
-        view, seconds = _timed(field.render, target.camera)
+        view, seconds = _measure_time(field.render, target.camera)
         masks, boxes = (of.get(target.name, {}) for of in (truth.masks, truth.boxes))
         recorder.ask(view, seconds, target.name, target.image, masks, boxes, opaque=target.opaque)
         if target.opaque is None or target.opaque.any():
@@ -170,7 +170,7 @@ def evaluate(
         is_queried = frame == "halfway" and bool(queries)
         if not drawn and not is_queried:
             continue
-        view, seconds = _timed(field.render, between(first, second, step))
+        view, seconds = _measure_time(field.render, between(first, second, step))
         if drawn:
             recorder.draw_view(view, frame)
         if is_queried:
@@ -186,7 +186,7 @@ def evaluate(
     return recorder.result()
 
 
-def _timed(call: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+def _measure_time(call: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
     """Return the result of a call, and its seconds without compiling."""
     start = compiling.clock()
     returned = call(*arguments)
@@ -272,11 +272,11 @@ class _Recorder:
             return
         if opaque is not None:
             masks = {text: mask & opaque for text, mask in masks.items()}
-        rules, hits = self.rules, self._timed_query(view, seconds, frame, list(masks))
+        rules, hits = self.rules, self._time_queries(view, seconds, frame, list(masks))
         queried = Frame(
             [_answer(hits.get(text), mask, f"{frame!r}: {text!r}") for text, mask in masks.items()],
             list(masks.values()),
-            [boxes_of(mask, boxes.get(text)) for text, mask in masks.items()],
+            [find_boxes(mask, boxes.get(text)) for text, mask in masks.items()],
             self._segment(view, list(hits), masks),
         ).within(opaque)
         common = {
@@ -306,7 +306,7 @@ class _Recorder:
             if self.settings.drawn and label == self.protocols[0].label:
                 self._draw_query(f"{frame}/{text}", hits.get(text), scored, masks[text], ground)
 
-    def _timed_query(
+    def _time_queries(
         self, view: AnsweringView, rendering: float, frame: str, queries: Sequence[str]
     ) -> dict[str, Result]:
         """Query the view with the understood texts, and time it."""
@@ -314,9 +314,9 @@ class _Recorder:
         seconds: dict[str, float | None] = {"view_seconds": None, "query_seconds": None}
         hits: Sequence[Result] = []
         if texts:
-            _, first = _timed(self.query, view, texts[:1])
+            _, first = _measure_time(self.query, view, texts[:1])
             # Query it again with the others: answers must not depend on the timing.
-            hits, further = _timed(self.query, view, texts)
+            hits, further = _measure_time(self.query, view, texts)
             seconds = {"view_seconds": rendering + first, "query_seconds": further / len(texts)}
         for query in queries:
             row = {**self.names, "frame": frame, "query": query, **seconds}
@@ -350,7 +350,7 @@ class _Recorder:
     ) -> None:
         heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
         predicted = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
-        painted = pictures.paint_stretched(heat, ground)
+        painted = pictures.paint_relevancy_range(heat, ground)
         spotlit = pictures.spotlight(ground, predicted)
         answer = pictures.draw_outline(spotlit, predicted, pictures.PREDICTED_COLOUR)
         for kind, picture in (("relevancy", painted), ("mask", answer)):
@@ -371,18 +371,18 @@ class _Recorder:
         )
 
 
-def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
+def _answer(hit: Result | None, truth: np.ndarray, place: str) -> Answer:
     """Return the answer for the protocols; an empty one if the text is not understood."""
     if hit is None:
         nothing = np.zeros(truth.shape, np.float32)
         return Answer(nothing, nothing.astype(bool), None)
     for name, array in (("relevancy", hit.relevancy), ("mask", hit.mask)):
         if array.shape != truth.shape:
-            raise InputError(f"{where}: the {name} is {array.shape}, expected {truth.shape}")
+            raise InputError(f"{place}: the {name} is {array.shape}, expected {truth.shape}")
     low, high = hit.relevancy.min(), hit.relevancy.max()
     if not (low >= 0 and high <= 1):
         raise InputError(
-            f"{where}: relevancy goes from {low} to {high}, expected numbers from 0 to 1"
+            f"{place}: relevancy goes from {low} to {high}, expected numbers from 0 to 1"
         )
     return Answer(hit.relevancy, hit.mask, hit.point)
 

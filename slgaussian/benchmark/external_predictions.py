@@ -28,13 +28,13 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
-from slgaussian.benchmark.annotations import Truth, boxes_of
+from slgaussian.benchmark.annotations import Truth, find_boxes
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult, score_frame
 from slgaussian.benchmark.outputs import file_name, read_masks
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, ScoringProtocol
-from slgaussian.benchmark.scores import of_first_protocol, scene_means
+from slgaussian.benchmark.scores import scene_means
 from slgaussian.checks import matching, name_parts, namesakes
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
@@ -103,20 +103,20 @@ class Predictions:
         return tuple(name for name in SCORABLE if name in present) or SCORABLE[:1]
 
     @property
-    def unused(self) -> list[str]:
+    def extra(self) -> list[str]:
         """List the masks that belong to no sample."""
         keys = (key for key in self.masks if key not in self.used)
         return list(dict.fromkeys(_describe(*key[2:]) for key in keys))
 
     def find(
-        self, names: tuple[str, str, str, str], query: str, others: Sequence[str]
+        self, names: tuple[str, str, str, str], query: str, rivals: Sequence[str]
     ) -> Key | None:
         """Return the key of the mask of a query; None if there is none.
 
         Args:
             names: Method, protocol, scene and frame. A frame may lack its folder and suffix, and
                 names may be file names.
-            others: The other judged frames with the file name of the frame.
+            rivals: The other judged frames with the file name of the frame.
 
         Raises:
             InputError: If the mask fits one of them as well.
@@ -125,18 +125,18 @@ class Predictions:
         parts = name_parts(frame)
         forms = parts[-1], "/".join(parts)
         for of in (protocol, ""):
-            group = self._grouped.get((method, of, file_name(scene), file_name(query)), {})
+            group = self._keys_by_frame.get((method, of, file_name(scene), file_name(query)), {})
             by_frame = dict(group.get(parts[-1], {}))
             for form in forms:
                 if (key := group.get(file_name(form), {}).get(file_name(form))) is not None:
                     by_frame[form] = key
-            entry = matching(str(self.place), frame, by_frame, others)
+            entry = matching(str(self.place), frame, by_frame, rivals)
             if entry is not None:
                 return by_frame[entry]
         return None
 
     @cached_property
-    def _grouped(self) -> dict[tuple[str, str, str, str], dict[str, dict[str, Key]]]:
+    def _keys_by_frame(self) -> dict[tuple[str, str, str, str], dict[str, dict[str, Key]]]:
         """Keys by method, protocol, scene and query, by file name of frames, then by frame."""
         groups: dict[tuple[str, str, str, str], dict[str, dict[str, Key]]] = {}
         for key in self.masks:
@@ -212,7 +212,8 @@ def score_predictions(
                     rows.append(row)
                     if mask is not None:
                         masks[row["protocol"], frame, row["query"]] = mask
-            means = scene_means(of_first_protocol(rows))
+            leading = [row for row in rows if row["protocol"] == rows[0]["protocol"]]
+            means = scene_means(leading)
             yield SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
     if empty := list(dict.fromkeys(predictions.empty)):
         warnings.warn(
@@ -233,16 +234,16 @@ def _score_frame(
     truths, boxes = judged.truth.masks[frame], judged.truth.boxes.get(frame, {})
     common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
     common |= {"place": judged.place, "frame": frame}
-    others = namesakes(frame, judged.truth.masks)
+    rivals = namesakes(frame, judged.truth.masks)
     answers = {
         protocol.name: _look_up(
-            predictions, (method, protocol.name, judged.scene, frame), truths, others
+            predictions, (method, protocol.name, judged.scene, frame), truths, rivals
         )
         for protocol in protocols
     }
     # The same texts compete in two protocols, and their masks determine which wins.
     labels = _winners(answers["3d-ovs"]) if "3d-ovs" in answers else None
-    true_boxes = [boxes_of(mask, boxes.get(text)) for text, mask in truths.items()]
+    true_boxes = [find_boxes(mask, boxes.get(text)) for text, mask in truths.items()]
     for protocol in protocols:
         of_protocol = answers[protocol.name]
         masks = [answer for answer, _ in of_protocol.values()]
@@ -262,13 +263,13 @@ def _look_up(
     predictions: Predictions,
     names: tuple[str, str, str, str],
     truths: Mapping[str, np.ndarray],
-    others: Sequence[str],
+    rivals: Sequence[str],
 ) -> dict[str, tuple[Answer, str]]:
     """Return the answer for each text of a frame, and the name of its mask; empty without one."""
     answers = {}
     for text, truth in truths.items():
         prediction = Prediction("", lambda *size: np.zeros(size, bool))
-        if (key := predictions.find(names, text, others)) is not None:
+        if (key := predictions.find(names, text, rivals)) is not None:
             prediction = predictions.masks[key]
             predictions.used.add(key)
         elif truth.any():
@@ -347,7 +348,7 @@ class _Entry(BaseModel):
     counts: Any = None
     point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
-    def read(self, place: str, height: int, width: int) -> np.ndarray:
+    def decode(self, place: str, height: int, width: int) -> np.ndarray:
         mask = _decode(
             rle.RunLengths(self.size[0], self.size[1], self.counts), place, height, width
         )
@@ -374,7 +375,7 @@ def _read_file(file: Path) -> dict[Key, Prediction]:
         if key in masks:
             raise InputError(f"{place} is there twice")
         point = None if entry.point is None else (entry.point[0], entry.point[1])
-        masks[key] = Prediction(place, partial(entry.read, place), point)
+        masks[key] = Prediction(place, partial(entry.decode, place), point)
     return masks
 
 

@@ -122,7 +122,7 @@ def read_index(path: str | Path) -> Index:
         entry is None or (isinstance(entry, dict) and entry.keys() == {"context", "target"})
         for entry in content.values()
     ):
-        return _read_published(path, content)
+        return _read_published_index(path, content)
     if not isinstance(content.get("version"), int):
         for name, entry in content.items():
             if isinstance(entry, dict) and entry.get("categories") is None:
@@ -150,7 +150,7 @@ def write_index(path: str | Path, index: Index) -> None:
         raise InputError(f"{path}: cannot write the index ({error.strerror})") from error
 
 
-def _read_published(path: Path, content: Mapping[str, Any]) -> Index:
+def _read_published_index(path: Path, content: Mapping[str, Any]) -> Index:
     """Read a published index; targets that are context frames of the same clip are left out."""
     scenes, left_out = {}, {}
     for key, entry in content.items():

@@ -121,26 +121,26 @@ def depth_errors(
     return errors
 
 
-def psnr(image: np.ndarray, reference: np.ndarray, known: np.ndarray | None = None) -> float:
+def psnr(image: np.ndarray, reference: np.ndarray, opaque: np.ndarray | None = None) -> float:
     """Compute the peak signal-to-noise ratio in dB of two uint8 images; infinite if equal.
 
-    Only pixels in ``known``, bool [H, W], count, if it is given; it must have some.
+    Only pixels in ``opaque``, bool [H, W], count, if it is given; it must have some.
     """
-    if known is not None:
-        image, reference = image[known], reference[known]
+    if opaque is not None:
+        image, reference = image[opaque], reference[opaque]
     error = np.mean((image.astype(np.float64) - reference.astype(np.float64)) ** 2)
     return float(10 * np.log10(255.0**2 / error)) if error else float("inf")
 
 
-def ssim(image: np.ndarray, reference: np.ndarray, known: np.ndarray | None = None) -> float:
+def ssim(image: np.ndarray, reference: np.ndarray, opaque: np.ndarray | None = None) -> float:
     """Compute the structural similarity of two uint8 RGB images (Wang et al. 2004), sigma 1.5.
 
-    With ``known``, bool [H, W] with some pixels, others are those of ``image`` and not averaged.
+    With ``opaque``, bool [H, W] with some pixels, others are those of ``image`` and not averaged.
     """
     window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     window |= {"data_range": 255.0, "channel_axis": 2}
-    if known is not None:
-        reference = np.where(known[..., None], reference, image)
+    if opaque is not None:
+        reference = np.where(opaque[..., None], reference, image)
     images = image.astype(np.float64), reference.astype(np.float64)
     mean, full = structural_similarity(*images, full=True, **window)
-    return float(mean if known is None else full[known].mean())
+    return float(mean if opaque is None else full[opaque].mean())

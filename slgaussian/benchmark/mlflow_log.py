@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from slgaussian.benchmark.documents import read_json
 from slgaussian.benchmark.reports.model import flatten
@@ -29,8 +29,7 @@ BATCH = 100
 """Largest number of parameters that MLflow accepts at once."""
 
 
-@dataclass(frozen=True)
-class Results:
+class Results(NamedTuple):
     """What is logged: parameters, metrics and outcome, and files as artifacts."""
 
     parameters: dict[str, str]
@@ -78,12 +77,11 @@ def log_results(command: str, out: Path, models: Path | None = None) -> str:
 def _read_run(out: Path) -> Results | None:
     if not (out / MANIFEST).is_file():
         return None
-    manifest, metrics = read_json(out / MANIFEST, "manifest"), dict[str, float]()
+    manifest = read_json(out / MANIFEST, "manifest")
     facts = flatten({name: manifest[name] for name in PARAMETERS if name in manifest})
-    if (out / SCORES).is_file():
-        for row in read_table(out / SCORES).to_pylist():
-            names = (row[key] for key in ("dataset", "protocol", "method", "metric"))
-            metrics[_valid("/".join(names))] = row["value"]
+    rows = read_table(out / SCORES).to_pylist() if (out / SCORES).is_file() else []
+    columns = ("dataset", "protocol", "method", "metric")
+    metrics = {_valid("/".join(row[name] for name in columns)): row["value"] for row in rows}
     parameters = {_valid(name): value for name, value in facts.items()}
     return Results(parameters, metrics, "completed", [out / name for name in RUN_FILES])
 

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from slgaussian.benchmark.pictures import encode_png
-from slgaussian.benchmark.scores import score_table
+from slgaussian.benchmark.scores import Rows, score_table
 from slgaussian.checks import name_parts
 from slgaussian.errors import InputError
 from slgaussian.formats.rle import RunLengths
@@ -41,18 +41,10 @@ _DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{d}{n}" for d in ("COM", "LPT") for 
 """Reserved file names on Windows, with any suffix."""
 
 
-def write_samples(rows: Sequence[Row], out: str | Path) -> None:
+def write_samples(rows: Rows, out: str | Path) -> None:
     """Write ``samples.parquet`` and ``scores.parquet``, of the specs of these names, to ``out``."""
-    samples = pa.Table.from_pylist(list(rows), schema=load_spec("samples").schema)
-    write_table("samples", samples, out)
+    write_table("samples", rows.table, out)
     write_table("scores", score_table(rows), out)
-
-
-def write_costs(rows: Sequence[Row], out: str | Path) -> None:
-    """Write ``times.parquet``, the cost of each answer, to ``out``; missing columns are null."""
-    schema = load_spec("times").schema
-    complete = [{name: row.get(name) for name in schema.names} for row in rows]
-    write_table("times", pa.Table.from_pylist(complete, schema=schema), out)
 
 
 def write_table(name: str, table: pa.Table, out: str | Path) -> None:

@@ -82,7 +82,7 @@ def paint_relevancy(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     return np.clip(0.72 * heat + 0.34 * grey, 0, 255).astype(np.uint8)
 
 
-def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
+def paint_relevancy_range(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Paint relevancy [H, W], stretched to its range, over the grey photograph, with a scale.
 
     The lower half of the range is grey: colours mark where a text fits better than elsewhere.
@@ -158,7 +158,7 @@ def draw_captions(image: np.ndarray, regions: Sequence[Region], size: int) -> np
         x = min(max(float(column), box_width / 2), max(width - box_width / 2, box_width / 2))
         y = min(max(float(row), box_height / 2), max(height - box_height / 2, box_height / 2))
         box = x - box_width / 2, y - box_height / 2, x + box_width / 2, y + box_height / 2
-        color = _color_of(region)
+        color = _region_color(region)
         draw.rounded_rectangle(box, box_height / 4, fill=(20, 22, 28), outline=color, width=2)
         draw.text((x, y), region.caption, fill=(255, 255, 255), font=font, anchor="mm")
         # Captions of other regions must not overlap: block the centres of such boxes.
@@ -167,7 +167,7 @@ def draw_captions(image: np.ndarray, regions: Sequence[Region], size: int) -> np
     return np.asarray(sheet)
 
 
-def _color_of(region: Region) -> tuple[int, int, int]:
+def _region_color(region: Region) -> tuple[int, int, int]:
     red, green, blue = label_colors(np.array(region.id)).tolist()
     return red, green, blue
 
@@ -177,7 +177,7 @@ def draw_regions(image: np.ndarray, regions: Sequence[Region], size: int) -> np.
     nothing = np.zeros(image.shape[:2], bool)
     out = spotlight(image, np.any([nothing, *(region.mask for region in regions)], axis=0))
     for region in sorted(regions, key=lambda region: -int(region.mask.sum())):
-        color = _color_of(region)
+        color = _region_color(region)
         out[region.mask] = (0.78 * image[region.mask] + 0.22 * np.array(color)).astype(np.uint8)
         out = draw_outline(out, region.mask, color)
     return draw_captions(out, regions, size)

@@ -208,20 +208,20 @@ def _by_rules(rules: Rules, width: int) -> MaskSettings:
     return MaskSettings(rules.selection, rules.threshold, share)
 
 
-def _stretched(rules: Rules, width: int) -> MaskSettings:
+def _langsplat_settings(rules: Rules, width: int) -> MaskSettings:
     return MaskSettings("stretched", langsplat.MASK_THRESHOLD, filter=langsplat.FILTER_SIDE)
 
 
-def _stretched_rescaled(rules: Rules, width: int) -> MaskSettings:
-    return replace(_stretched(rules, width), filter=langsplat.rescaled_filter(width))
+def _rescaled_settings(rules: Rules, width: int) -> MaskSettings:
+    return replace(_langsplat_settings(rules, width), filter=langsplat.rescaled_filter(width))
 
 
 PROTOCOLS: Mapping[str, ScoringProtocol] = {
     protocol.name: protocol
     for protocol in (
         ScoringProtocol("slgaussian", 2, _by_rules, _slgaussian),
-        ScoringProtocol("langsplat", 2, _stretched, _langsplat),
-        ScoringProtocol("langsplat-rescaled", 2, _stretched_rescaled, _langsplat),
+        ScoringProtocol("langsplat", 2, _langsplat_settings, _langsplat),
+        ScoringProtocol("langsplat-rescaled", 2, _rescaled_settings, _langsplat),
         ScoringProtocol("3d-ovs", 2, lambda rules, width: MaskSettings("arg-max"), _three_d_ovs),
         ScoringProtocol(
             "highest-pixel", 1, lambda rules, width: MaskSettings("none"), _highest_pixel, False

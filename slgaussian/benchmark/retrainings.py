@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark.drift import compare_lessons, drifted, lesson_distributions
+from slgaussian.benchmark.drift import compare_lessons, find_drifts, lesson_distributions
 from slgaussian.benchmark.significance import clip_scores
 from slgaussian.benchmark.statistics import interval_of_mean
 from slgaussian.io import write_atomic
@@ -36,7 +36,7 @@ class History:
 
     def __init__(self, models: Path) -> None:
         self.models = models
-        self.table, self._last_lessons = read_history(models), _read(models, "distributions")
+        self.table, self._last_lessons = read_history(models), _read_table(models, "distributions")
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Add a row with the time and write ``history.parquet``; what the row lacks is empty."""
@@ -71,10 +71,10 @@ def read_history(models: Path) -> pa.Table:
     Raises:
         SpecError: If the file is damaged, or of another version of the program.
     """
-    return _read(models, "history")
+    return _read_table(models, "history")
 
 
-def _read(models: Path, name: str) -> pa.Table:
+def _read_table(models: Path, name: str) -> pa.Table:
     spec = load_spec(name)
     file = models / spec.file
     if not file.exists():
@@ -107,13 +107,14 @@ def score_columns(judgements: pa.Table) -> dict[str, float]:
 
 def summaries(history: pa.Table) -> list[dict[str, str]]:
     """Return the last :data:`LISTED` rows as texts by heading, the latest first."""
-    return [_summary(row) for row in reversed(history.to_pylist()[-LISTED:])]
-
-
-def _summary(row: dict[str, Any]) -> dict[str, str]:
-    ious = {f"IoU {name}": row[f"{name}_iou"] for name in COLUMNS.values()}
-    texts = {name: "" if iou is None else f"{iou:.4f}" for name, iou in ious.items()}
-    counts = {name: row[name] for name in ("version", "in_use", "lessons", "clips", "places")}
-    texts |= {name.replace("_", " "): "" if n is None else str(n) for name, n in counts.items()}
-    drift = (", ".join(drifted(row)) or "none") if row["against"] else ""
-    return {"ended": row["ended"], "outcome": row["outcome"], **texts, "drift beyond noise": drift}
+    listed = []
+    for row in reversed(history.to_pylist()[-LISTED:]):
+        ious = {f"IoU {name}": row[f"{name}_iou"] for name in COLUMNS.values()}
+        texts = {name: "" if iou is None else f"{iou:.4f}" for name, iou in ious.items()}
+        counts = {name: row[name] for name in ("version", "in_use", "lessons", "clips", "places")}
+        texts |= {name.replace("_", " "): "" if n is None else str(n) for name, n in counts.items()}
+        texts["drift beyond noise"] = ""
+        if row["against"]:
+            texts["drift beyond noise"] = ", ".join(find_drifts(row)) or "none"
+        listed.append({"ended": row["ended"], "outcome": row["outcome"], **texts})
+    return listed

@@ -18,7 +18,7 @@ class Verdict:
     """Decision whether a gain is significant, and a sentence with the numbers."""
 
     better: bool
-    why: str
+    reason: str
 
 
 def clip_scores(judgements: pa.Table) -> dict[str, list[float]]:
@@ -37,10 +37,10 @@ def clip_scores(judgements: pa.Table) -> dict[str, list[float]]:
     }
 
 
-def gain(judgements: pa.Table, rival: str, of: str = "branch") -> Comparison:
-    """Compare the lifting ``of`` with ``rival``; InputError without a clip."""
+def gain(judgements: pa.Table, rival: str, lifting: str = "branch") -> Comparison:
+    """Compare a lifting with a rival; InputError without a clip."""
     scores = clip_scores(judgements)
-    return compare(scores.get(of, []), scores.get(rival, []))
+    return compare(scores.get(lifting, []), scores.get(rival, []))
 
 
 def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
@@ -95,7 +95,7 @@ def _gains(judgements: pa.Table, rivals: Mapping[str, str], lifting: str) -> dic
     """Compare a lifting with each evaluated rival, by their names."""
     judged = set(judgements["lifting"].to_pylist())
     return {
-        name: gain(judgements, rival, of=lifting)
+        name: gain(judgements, rival, lifting=lifting)
         for rival, name in rivals.items()
         if rival in judged
     }

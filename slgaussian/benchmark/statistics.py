@@ -6,7 +6,7 @@ within each group. The resamplings are the same for the same number of samples.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -17,6 +17,9 @@ from slgaussian.kernels.seeding import rng_for
 
 RESAMPLINGS = 10_000
 """Number of resamplings; with 10,000 the interval's ends have about two reliable digits."""
+
+BLOCK = 100
+"""Number of resamplings drawn at once."""
 
 CONFIDENCE_LEVEL = 0.95
 """Fraction of the resamplings inside the interval."""
@@ -82,7 +85,8 @@ def interval_of_mean(
     """
     if groups is None:
         return interval(values[resamplings(len(values))].mean(1))
-    times = resample_counts(tuple(groups))
+    numbers = dict[Hashable, int]()
+    times = resample_counts(tuple(numbers.setdefault(group, len(numbers)) for group in groups))
     return interval(np.einsum("dn,n->d", times, values) / times.sum(1))
 
 
@@ -92,34 +96,41 @@ def interval(statistics: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-@lru_cache(4)
-def resample_counts(groups: tuple[Hashable, ...]) -> np.ndarray:
-    """Count how often each resampling contains each sample: int32 [RESAMPLINGS, n], read-only.
+@lru_cache(2)
+def resample_counts(groups: tuple[int, ...]) -> np.ndarray:
+    """Count how often each resampling contains each sample: uint16 [RESAMPLINGS, n], read-only.
 
     This is the hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement at
     both levels): draw as many groups as there are, then for each draw of a group as many of its
-    samples as it has. ``groups`` has one entry per sample.
+    samples as it has. ``groups`` has the number of the group of each sample.
     """
-    members: dict[Hashable, list[int]] = {}
+    members: dict[int, list[int]] = {}
     for sample, group in enumerate(groups):
         members.setdefault(group, []).append(sample)
-    chosen = resamplings(len(members))
+    drawn = (row for block in _draw(len(members)) for row in block)
+    counts = [np.bincount(row, minlength=len(members)).astype(np.uint16) for row in drawn]
     rng = rng_for(0, "", "bootstrap within groups")
-    times = np.zeros((RESAMPLINGS, len(groups)), np.int32)
-    for number, places in enumerate(members.values()):
-        often = (chosen == number).sum(1)
+    times = np.zeros((RESAMPLINGS, len(groups)), np.uint16)
+    for often, places in zip(np.transpose(counts), members.values(), strict=True):
         if len(places) == 1:
             times[:, places[0]] = often
         else:
             chances = np.full(len(places), 1 / len(places))
-            times[:, places] = rng.multinomial(often * len(places), chances)
+            times[:, places] = rng.multinomial(often.astype(np.int64) * len(places), chances)
     times.flags.writeable = False
     return times
 
 
-@lru_cache(4)
+@lru_cache(2)
 def resamplings(count: int) -> np.ndarray:
     """Draw the sample indices of each resampling: int32 [RESAMPLINGS, count], read-only."""
-    drawn = rng_for(0, "", "bootstrap").integers(count, size=(RESAMPLINGS, count)).astype(np.int32)
+    drawn = np.concatenate([*_draw(count)], dtype=np.int32)
     drawn.flags.writeable = False
     return drawn
+
+
+def _draw(count: int) -> Iterator[np.ndarray]:
+    """Draw sample indices, int64 [RESAMPLINGS, count], in blocks of :data:`BLOCK` resamplings."""
+    rng = rng_for(0, "", "bootstrap")
+    for _ in range(RESAMPLINGS // BLOCK):
+        yield rng.integers(count, size=(BLOCK, count))

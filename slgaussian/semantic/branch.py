@@ -109,7 +109,7 @@ class BranchLifting:
         """See :class:`slgaussian.semantic.Lifting`."""
         images = input_images(label_maps.labels, bank.ids, bank.codes)
         with torch.no_grad(), inside(self.branch):
-            features = features_of(self.branch, images, gaussians.source)
+            features = compute_features(self.branch, images, gaussians.source)
         return replace(gaussians, features=features)
 
 
@@ -138,7 +138,7 @@ def input_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> torc
     return torch.from_numpy(code_images(labels, ids, codes)[..., :DIMENSION])
 
 
-def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> torch.Tensor:
+def compute_features(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> torch.Tensor:
     """Compute the feature of each Gaussian, float32 [N, 4]: that of its ``source`` pixel, int [N].
 
     The network runs on the device of its weights; the result is on the CPU.

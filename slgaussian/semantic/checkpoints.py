@@ -35,7 +35,7 @@ def save_checkpoint(
     Raises:
         InputError: If it cannot be written.
     """
-    metrics = encode_table(table_of(rows), load_spec("metrics"))
+    metrics = encode_table(tabulate_metrics(rows), load_spec("metrics"))
     state = {
         "run": dict(run),
         "branch": branch.state_dict(),
@@ -84,6 +84,6 @@ def load_checkpoint(
     return list(table.to_pylist())
 
 
-def table_of(rows: list[dict[str, Any]]) -> pa.Table:
+def tabulate_metrics(rows: list[dict[str, Any]]) -> pa.Table:
     """Convert rows to a table of spec ``metrics``."""
     return pa.Table.from_pylist(rows, schema=load_spec("metrics").schema)

@@ -65,33 +65,21 @@ class Decoder:
         Raises:
             InputError: If the shape is wrong, or a value is NaN or infinite.
         """
-        _check(features)
-        shape = features.shape[:2]
-        ids, confidence = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
+        ids, confidence = _make_empty_maps(features)
         if self._table is not None:
             _decode(features, self._codes, *self._table, self._gaps, self._ids, ids, confidence)
         return ids, confidence
 
 
-class NearestCode:
+class NearestCode(Decoder):
     """The paper's decoding (section 3.2): the code nearest in L1, independently per pixel.
 
     Rendered codes are not divided by their weight, so partly transparent ones are biased to zero.
-
-    Args:
-        bank: The codes and ids.
     """
-
-    def __init__(self, bank: MemoryBank) -> None:
-        self._ids = bank.ids
-        self._codes = bank.codes.astype(np.float64)
-        self._gaps = _gaps(self._codes)
 
     def __call__(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`Decoder.__call__`; the confidence is ``1 - 2 d / g`` times the weight."""
-        _check(features)
-        shape = features.shape[:2]
-        ids, confidence = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
+        ids, confidence = _make_empty_maps(features)
         if len(self._ids):
             visible = features[..., -1] >= MIN_WEIGHT
             rendered = features[visible].astype(np.float64)
@@ -103,14 +91,15 @@ class NearestCode:
         return ids, confidence
 
 
-def _check(features: np.ndarray) -> None:
+def _make_empty_maps(features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if features.ndim != 3 or features.shape[2] != 4:
         raise InputError(f"decode: found features {features.shape}, expected [H, W, 4]")
     if not np.isfinite(features).all():
         raise InputError("decode: features hold NaN or infinity")
+    return np.zeros(features.shape[:2], np.int32), np.zeros(features.shape[:2], np.float32)
 
 
-def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | NearestCode:
+def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder:
     """Make the decoder that the build settings of a field ask for."""
     options = settings.get(str(settings.get("codes")), {})
     return NearestCode(bank) if options.get("decode") == "nearest" else Decoder(bank)
@@ -137,7 +126,7 @@ def _decode(features, codes, starts, members, gaps, table, ids, confidence):
     for v in range(height):
         _nearest(features[v], codes, starts, members, gaps, rows[v], close[v + 1], lead[v])
     for v in range(height):
-        _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + SEARCH_RADIUS])
+        _find_settled_codes(close[v], close[v + 1], close[v + 2], agreed[v + SEARCH_RADIUS])
     for v in range(height):
         window = agreed[v : v + 2 * SEARCH_RADIUS + 1]
         _decode_row(features[v], codes, rows[v], lead[v], window, table, ids[v], confidence[v])
@@ -173,7 +162,7 @@ def _nearest(features, codes, starts, members, gaps, rows, close, lead):
 
 
 @kernel
-def _mark_settled(above, close, below, agreed):
+def _find_settled_codes(above, close, below, agreed):
     """Copy the codes of ``close`` with which enough neighbours agree."""
     for u in range(1, len(close) - 1):
         row = close[u]

@@ -40,12 +40,12 @@ from slgaussian.semantic.branch import (
     DIMENSION,
     Architecture,
     Branch,
-    features_of,
+    compute_features,
     input_images,
     make_branch,
     save_branch,
 )
-from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, table_of
+from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, tabulate_metrics
 from slgaussian.semantic.configs import TrainingConfig
 from slgaussian.semantic.lesson import Lesson
 
@@ -80,7 +80,7 @@ class Progress:
     rate: float
 
     @property
-    def seconds_left(self) -> float:
+    def remaining_seconds(self) -> float:
         """Estimated seconds until the last step."""
         return (self.steps - self.step) / self.rate
 
@@ -182,7 +182,7 @@ def train(
             if progress is not None:
                 rate = (step + 1 - resumed) / (time.perf_counter() - start_time)
                 progress(Progress(step + 1, settings.steps, rows[-1]["loss"], rate))
-    return Trained(branch.cpu().eval(), table_of(rows))
+    return Trained(branch.cpu().eval(), tabulate_metrics(rows))
 
 
 def find_device(name: str) -> torch.device:
@@ -199,7 +199,7 @@ def find_device(name: str) -> torch.device:
     return device
 
 
-def loss_of(
+def compute_loss(
     branch: Branch, lesson: Lesson, views: Sequence[int], codes: str, rng: np.random.Generator
 ) -> torch.Tensor:
     """Compute the mean squared error over all pixels of the chosen target views of a lesson.
@@ -221,7 +221,7 @@ def loss_of(
         return torch.zeros(())
     drawn = load_codes(codes)(maps, rng)
     images = input_images(lesson.labels, maps.ids, drawn)
-    features = features_of(branch, images, lesson.gaussians.source)[:, :DIMENSION]
+    features = compute_features(branch, images, lesson.gaussians.source)[:, :DIMENSION]
     if not features.isfinite().all():
         return torch.tensor(torch.nan)
     targets = input_images(lesson.targets[list(views)], maps.ids, drawn)
@@ -243,7 +243,7 @@ def _step(
     optimiser.zero_grad()
     losses = []
     for draw in drawn:
-        loss = loss_of(branch, draw.lesson, draw.views, settings.codes, draw.rng) / len(drawn)
+        loss = compute_loss(branch, draw.lesson, draw.views, settings.codes, draw.rng) / len(drawn)
         if loss.requires_grad:
             loss.backward()
         losses.append(float(loss.detach()))

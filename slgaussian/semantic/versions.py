@@ -58,9 +58,9 @@ class Version:
         """Digest of the held-out clips that judged it; empty if they were not split by place."""
         return str(self.facts.get("split", ""))
 
-    def shares_split(self, other: Version) -> bool:
+    def is_comparable_to(self, version: Version) -> bool:
         """Return whether its scores are comparable: of the same held-out clips as another's."""
-        return self.split == other.split != ""
+        return self.split == version.split != ""
 
 
 class Versions:
@@ -76,7 +76,7 @@ class Versions:
             SpecError: If a record is damaged.
         """
         files = sorted((self.folder / "versions").glob("[0-9]*.parquet"))
-        return [_read(file) for file in files if re.fullmatch(r"\d{6,}", file.stem)]
+        return [_read_record(file) for file in files if re.fullmatch(r"\d{6,}", file.stem)]
 
     def current(self) -> Version | None:
         """Return the version in use, None if there is none.
@@ -89,7 +89,7 @@ class Versions:
 
     def version(self, number: int) -> Version:
         """Return the version with a number; SpecError if its record is damaged or missing."""
-        return _read(self._file(number))
+        return _read_record(self._file(number))
 
     def find_trained_on(self, clips: Collection[str]) -> tuple[list[Version], list[Version]]:
         """Return the versions trained on one of the clips, and those that do not say on which.
@@ -139,7 +139,7 @@ class Versions:
         """
         digest = hashlib.sha256(weights).hexdigest()
         before = 0 if parent is None else parent.number
-        with self._locked():
+        with self._lock():
             try:
                 for name in ("weights", "versions"):
                     (self.folder / name).mkdir(parents=True, exist_ok=True)
@@ -176,7 +176,7 @@ class Versions:
             InputError: If the folder cannot be written, or the version's weights are damaged
                 (SpecError).
         """
-        with self._locked():
+        with self._lock():
             self._use(version)
 
     def _use(self, version: Version | None) -> None:
@@ -201,7 +201,7 @@ class Versions:
                 f"versions {self.folder} --use NUMBER`"
             ) from error
 
-    def _locked(self) -> AbstractContextManager[None]:
+    def _lock(self) -> AbstractContextManager[None]:
         return hold_lock(self.folder / ".lock", "versions", wait=True)
 
     def _file(self, number: int) -> Path:
@@ -242,7 +242,7 @@ def _table(version: Version) -> pa.Table:
     return pa.Table.from_pylist([row], schema=load_spec("versions").schema)
 
 
-def _read(file: Path) -> Version:
+def _read_record(file: Path) -> Version:
     spec, otherwise = load_spec("versions"), "use another version"
     try:
         table = decode_table(file.read_bytes(), spec, str(file), otherwise)

@@ -73,6 +73,6 @@ def result(room) -> SceneResult:
 
 
 @pytest.fixture(scope="session")
-def answered(room) -> SceneResult:
+def own_result(room) -> SceneResult:
     """Scores of the field's answers to all labelled queries of the room."""
     return room.evaluate()

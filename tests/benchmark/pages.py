@@ -54,7 +54,7 @@ def check_alone(html: str) -> None:
         assert image["alt"]
 
 
-def tables_of(markdown: str) -> list[list[list[str]]]:
+def read_tables(markdown: str) -> list[list[list[str]]]:
     """Return the tables of a Markdown text; check that rows have as many cells as the heading."""
     tables, rows = [], []
     for line in [*markdown.splitlines(), ""]:

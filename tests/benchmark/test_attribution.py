@@ -49,7 +49,7 @@ def exact(room):
     return build(room.sample, room.label_maps.labels)
 
 
-def rows_of(room, field, **settings):
+def make_rows(room, field, **settings):
     """Return the rows of the attribution by query."""
     gaussians = room.gaussians if field is room.field else field.gaussians
     evaluation = EvaluationSettings(**settings)
@@ -73,8 +73,8 @@ def thing(room):
     return largest, int(ids[counts.argmax()])
 
 
-def test_nothing_is_lost_where_nothing_is_broken(room, exact):
-    rows = rows_of(room, exact)
+def test_attribution_finds_no_miss_in_an_exact_scene(room, exact):
+    rows = make_rows(room, exact)
     assert rows.keys() == room.truth["view_01"].keys()
     # The middle of the narrow table's mask is off it, however true all is.
     assert sum(row["lost"] is not None for row in rows.values()) <= 1
@@ -83,52 +83,52 @@ def test_nothing_is_lost_where_nothing_is_broken(room, exact):
         assert row["masks_iou"] > 0.6
 
 
-def test_what_was_found_is_what_the_benchmark_scores(room, result):
+def test_attribution_has_the_scores_of_the_benchmark(room, result):
     scored = {row["query"]: row for row in result.rows if row["protocol"] == "slgaussian@2"}
-    for query, row in rows_of(room, room.field).items():
+    for query, row in make_rows(room, room.field).items():
         assert (row["iou"], row["hit"]) == (scored[query]["iou"], scored[query]["hit_mask"])
         assert row["threshold_iou"] >= row["iou"]
 
 
-def test_an_absurd_threshold_or_a_wrong_vector_lost_it(room, exact, thing):
+def test_attribution_names_threshold_or_language_for_a_wrong_rule_or_vector(room, exact, thing):
     phrase = room.sample.phrases[thing[0]]
-    row = rows_of(room, exact, rules=Rules(threshold=0.99999))[phrase]
+    row = make_rows(room, exact, rules=Rules(threshold=0.99999))[phrase]
     assert row["iou"] == 0 and row["threshold_iou"] > 0.5
     assert row["lost"] == "threshold"
     places = np.searchsorted(exact.bank.ids, thing)
     features = exact.bank.features.copy()
     features[places] = exact.bank.features[places[::-1]]
     wrong = exact.changed(bank=replace(exact.bank, features=features))
-    row = rows_of(room, wrong)[phrase]
+    row = make_rows(room, wrong)[phrase]
     assert row["threshold_iou"] < 0.5 < row["language_iou"]
     assert row["lost"] == "language"
 
 
-def test_masks_that_cut_a_thing_up_are_a_loss_of_masks_unless_a_group_holds_it(room, thing):
+def test_attribution_names_masks_for_objects_in_pieces_unless_a_group_joins_them(room, thing):
     phrase, labels = room.sample.phrases[thing[0]], room.label_maps.labels
     rows, columns = np.indices(labels.shape[1:]) // 5
     squares = int(labels.max()) + 1 + rows * (columns.max() + 1) + columns
     field = build(room.sample, np.where(labels == thing[0], squares, labels).astype(np.int32))
     # The pieces have no name, so no view says anything of them, and words choose others.
-    row = rows_of(room, field)[phrase]
+    row = make_rows(room, field)[phrase]
     assert row["language_iou"] < 0.5 and row["lost"] == "masks"
     bank, pieces = field.bank, ~np.isin(field.bank.ids, room.label_maps.ids)
     levels = np.where(pieces, len(bank), np.arange(len(bank)))[None].astype(np.int32)
     wrong = field.encoder.encode_text([room.sample.phrases[thing[1]]])
     words = np.repeat(wrong[None], bank.present.shape[1], 1).astype(np.float32)
-    row = rows_of(room, field.changed(bank=replace(bank, levels=levels, group_features=words)))
+    row = make_rows(room, field.changed(bank=replace(bank, levels=levels, group_features=words)))
     assert row[phrase]["language_iou"] > 0.5 and row[phrase]["lost"] == "language"
 
 
-def test_wrong_depth_is_mended_by_nothing(room):
-    rows = rows_of(room, build(room.sample, room.label_maps.labels, 0.45))
+def test_attribution_names_no_stage_for_wrong_depth(room):
+    rows = make_rows(room, build(room.sample, room.label_maps.labels, 0.45))
     things = [row for row in rows.values() if room.truth["view_01"][row["query"]].sum() < 700]
     assert len(things) >= 5
     for row in things:
         assert row["masks_iou"] < 0.5 and row["lost"] == UNFIXABLE
 
 
-def test_what_something_hides_is_not_carried_back():
+def test_carried_back_omits_occluded_pixels():
     """The scene is a wall behind a board that only the target shows."""
     K = np.array([[40.0, 0, 20], [0, 40, 15], [0, 0, 1]])
     aside = np.eye(4)
@@ -155,7 +155,7 @@ OBJECTS = st.tuples(st.integers(0, 6), st.integers(0, 6), st.sampled_from([0.2, 
 
 @given(st.lists(OBJECTS.filter(lambda parts: parts[0] + parts[1]), min_size=1, max_size=7))
 @settings(max_examples=100, deadline=None)
-def test_the_best_threshold_is_the_best_of_all_thresholds(objects):
+def test_best_prefix_equals_the_best_threshold_of_all(objects):
     inside, outside, scores = np.array(objects).T
     total = int(inside.sum()) + 1
     chosen = attribution.best_prefix(scores, inside, inside + outside, total)
@@ -167,7 +167,7 @@ def test_the_best_threshold_is_the_best_of_all_thresholds(objects):
     assert not chosen.any() or (chosen == (scores >= scores[chosen].min())).all()
 
 
-def test_whole_things_are_as_many_as_the_truth_has_parts():
+def test_best_objects_are_as_many_as_parts_of_the_truth():
     """A sofa has three parts; a chair has one."""
     ids = np.zeros((20, 40), np.int32)
     for k in range(3):
@@ -188,7 +188,7 @@ def test_whole_things_are_as_many_as_the_truth_has_parts():
     assert not attribution.best_objects(object_map, grouped, ids == 0)[3]
 
 
-def test_verdicts_follow_the_order_of_the_stages():
+def test_verdict_names_the_first_stage_that_repairs_a_miss():
     row = {"iou": 0.4, "hit": True}
     row |= {f"{name}_iou": 0.4 for name in STAGES} | {f"{name}_hit": True for name in STAGES}
     assert verdict(row) == UNFIXABLE

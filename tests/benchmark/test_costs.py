@@ -1,6 +1,7 @@
 """Costs of methods: medians and peaks of the rows of `times`."""
 
 from slgaussian.benchmark.costs import Cost, costs_of
+from slgaussian.benchmark.scores import Rows
 from slgaussian.storage.specs import load_spec
 
 EMPTY = dict.fromkeys(load_spec("times").columns)
@@ -23,9 +24,9 @@ ROWS = [
 ]  # fmt: skip
 
 
-def test_medians_are_over_what_was_measured_and_peaks_the_greatest():
+def test_costs_are_medians_of_measurements_and_the_largest_peak():
     other = row("a", "1", "x", method="other", query_seconds=2.0, prepare_seconds=4.0)
-    ours, theirs = costs_of([*ROWS, other])
+    ours, theirs = costs_of(Rows.from_rows([*ROWS, other], "times"))
     assert ours == Cost("d", "ours", 20.0, 3.0, None, 8.0, 150)
     assert theirs == Cost("d", "other", None, 2.0, 4.0, None, None)
-    assert costs_of([]) == []
+    assert costs_of(Rows.from_rows([], "times")) == []

@@ -5,7 +5,7 @@ import pyarrow as pa
 import pytest
 from scipy.stats import ks_2samp
 
-from slgaussian.benchmark.drift import compare_lessons, drifted
+from slgaussian.benchmark.drift import compare_lessons, find_drifts
 from slgaussian.storage.specs import load_spec
 
 SPEC = load_spec("distributions")
@@ -27,7 +27,7 @@ def lessons(clips, per_clip=3, shift=0.0, seed=0) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=SPEC.schema)
 
 
-def test_distances_are_those_of_scipy():
+def test_drift_distances_equal_scipy():
     then, now = lessons(range(20)), lessons(range(20, 50), shift=0.02)
     drift = compare_lessons(then, now)
     for name, distance in zip(drift["quantities"], drift["drifts"], strict=True):
@@ -37,30 +37,32 @@ def test_distances_are_those_of_scipy():
                zip(drift["drift_lows"], drift["drift_highs"], strict=True))  # fmt: skip
 
 
-def test_equal_lessons_have_no_drift():
+def test_drift_of_equal_lessons_is_zero():
     drift = compare_lessons(lessons(range(5)), lessons(range(5)))
-    assert drift["drifts"] == [0] * len(QUANTITIES) and drifted(drift) == []
+    assert drift["drifts"] == [0] * len(QUANTITIES) and find_drifts(drift) == []
 
 
-def test_a_few_clips_among_many_are_seen_if_they_differ():
+def test_drift_detects_a_few_different_clips():
     """A corpus that grows: all clips of the version, and new ones, which are alike or not."""
     then = lessons(range(40))
     alike = pa.concat_tables([then, lessons(range(40, 52))])
     blurred = pa.concat_tables([then, lessons(range(40, 52), shift=0.25)])
-    assert drifted(compare_lessons(then, alike)) == []
-    assert drifted(compare_lessons(then, blurred)) == ["blur"]
+    assert find_drifts(compare_lessons(then, alike)) == []
+    assert find_drifts(compare_lessons(then, blurred)) == ["blur"]
 
 
-def test_lessons_of_few_clips_are_no_evidence_however_many():
+def test_drift_needs_several_clips():
     """By lessons alone, two times two clips with 200 lessons each would differ significantly."""
     then, now = lessons(range(2), 200), lessons(range(2, 4), 200)
     assert ks_2samp(then["blur"].to_numpy(), now["blur"].to_numpy()).pvalue < 1e-9
-    assert drifted(compare_lessons(then, now)) == []
+    assert find_drifts(compare_lessons(then, now)) == []
 
 
-def test_false_alarms_are_rare():
+def test_drift_raises_few_false_alarms():
     alarms = [
-        bool(drifted(compare_lessons(lessons(range(12), seed=s), lessons(range(12, 24), seed=s))))
+        bool(
+            find_drifts(compare_lessons(lessons(range(12), seed=s), lessons(range(12, 24), seed=s)))
+        )
         for s in range(10)
     ]
     assert sum(alarms) <= 2  # 5 % expected at most

@@ -21,30 +21,33 @@ from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
 
 
-def rows_of(result, protocol="slgaussian"):
+def find_rows(result, protocol="slgaussian"):
     return [row for row in result.rows if row["protocol"] == f"{protocol}@2"]
 
 
-def row_of(result, query, protocol="slgaussian"):
-    (row,) = (row for row in rows_of(result, protocol) if row["query"] == query)
+def find_row(result, query, protocol="slgaussian"):
+    (row,) = (row for row in find_rows(result, protocol) if row["query"] == query)
     return row
 
 
-def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, result):
+def test_evaluate_returns_a_row_per_query_with_all_columns(room, result):
     texts = [*room.truth["view_01"], "qqwx"]
-    assert [row["query"] for row in rows_of(result)] == [*texts, "red sofa", "grey floor"]
+    assert [row["query"] for row in find_rows(result)] == [*texts, "red sofa", "grey floor"]
     for protocol in ("langsplat", "langsplat-rescaled", "3d-ovs"):
-        assert [row["query"] for row in rows_of(result, protocol)] == texts
+        assert [row["query"] for row in find_rows(result, protocol)] == texts
     columns = load_spec("samples").columns
     for row in result.rows:
         assert list(row) == list(columns)
         assert all(columns[name].nullable for name, value in row.items() if value is None)
 
 
-def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
+def test_evaluate_scores_equal_those_of_masks_and_points(room, result):
     view = room.field.render(room.sample.targets[0].camera)
     for query, mask in room.truth["view_01"].items():
-        row, predicted = row_of(result, query), result.predictions["slgaussian@2", "view_01", query]
+        row, predicted = (
+            find_row(result, query),
+            result.predictions["slgaussian@2", "view_01", query],
+        )
         hit = view.query(query)
         assert np.array_equal(predicted, hit.mask)
         assert row["iou"] == metrics.iou(predicted, mask)
@@ -54,21 +57,21 @@ def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
         assert row["hit_box"] or not row["hit_mask"]
 
 
-def test_an_unknown_word_scores_zero_by_every_protocol_and_stays_in_the_means(result):
+def test_evaluate_scores_an_unknown_word_as_zero(result):
     names = ("iou", "boundary_iou", "class_iou", "hit_mask", "hit_box", "hit_peak")
     for protocol in ("slgaussian", "langsplat", "langsplat-rescaled", "3d-ovs"):
-        row = row_of(result, "qqwx", protocol)
+        row = find_row(result, "qqwx", protocol)
         assert {row[name] for name in names} == {0, None}
         assert row["note"] == NOT_UNDERSTOOD
         assert row["score"] is row["point_x"] is None
         assert not result.predictions[f"{protocol}@2", "view_01", "qqwx"].any()
     for metric, column in (("iou", "iou"), ("miou", "class_iou")):
-        scored = [row[column] for row in rows_of(result) if row[column] is not None]
+        scored = [row[column] for row in find_rows(result) if row[column] is not None]
         assert result.scene_metrics[metric] == pytest.approx(np.mean(scored), abs=1e-12)
 
 
-def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
-    absent, untold = row_of(result, "red sofa"), row_of(result, "grey floor")
+def test_evaluate_reports_queries_without_truth_but_no_scores(result):
+    absent, untold = find_row(result, "red sofa"), find_row(result, "grey floor")
     for row in (absent, untold):
         assert row["iou"] is row["hit_mask"] is row["hit_box"] is row["class_iou"] is None
         assert row["score"] is not None and row["point_x"] is not None
@@ -77,20 +80,20 @@ def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
     assert untold["frame"] == "halfway"
 
 
-def test_annotated_boxes_take_the_place_of_the_masks_own(room):
+def test_evaluate_prefers_annotated_boxes_to_boxes_of_masks(room):
     everywhere, nowhere = np.array([[0.0, 0, 143, 103]]), np.zeros((0, 4))
     first, *rest = room.truth["view_01"]
     boxes = {"view_01": {first: nowhere} | dict.fromkeys(rest, everywhere)}
     result = room.evaluate(boxes=boxes)
     for protocol, column in (("slgaussian", "hit_box"), ("langsplat", "hit_peak")):
-        hits = [row[column] for row in rows_of(result, protocol)]
+        hits = [row[column] for row in find_rows(result, protocol)]
         assert hits == [False] + [True] * len(rest)
 
 
-def test_every_row_says_how_its_mask_was_made(room, result):
+def test_evaluate_rows_state_mask_settings(room, result):
     def settings(result, protocol):
         names = ("selection", "threshold", "share", "filter", "temperature", "canonical", "absent")
-        (values,) = {tuple(row[name] for name in names) for row in rows_of(result, protocol)}
+        (values,) = {tuple(row[name] for name in names) for row in find_rows(result, protocol)}
         return values
 
     rules = (10, "encoder's", "skip")
@@ -118,7 +121,7 @@ def depth_scores(room, sample, scale=None):
     return {name: pytest.approx(np.mean([s[name] for s in scores])) for name in scores[0]}
 
 
-def test_depth_is_judged_where_the_truth_is_known(room, result):
+def test_evaluate_scores_depth_with_known_truth(room, result):
     assert result.scene_metrics.items() >= depth_scores(room, room.sample).items()
     assert 0 < result.scene_metrics["target_abs_rel"] < 0.3
     # These cameras turn towards each other: no pixel has one disparity.
@@ -134,7 +137,7 @@ def test_depth_is_judged_where_the_truth_is_known(room, result):
     assert result.scene_metrics.items() >= expected.items() and "bad2" in expected
 
 
-def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(room):
+def test_truth_from_instances_unites_equal_phrases_and_omits_invisible_ones(room):
     target = room.sample.targets[0]
     ids = np.unique(target.instances)
     one, two = ids[ids > 0][:2]
@@ -145,16 +148,16 @@ def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(roo
     assert np.array_equal(truth["view_01"]["ball"], np.isin(target.instances, [one, two]))
 
 
-def test_the_first_protocol_leads(room, answered):
+def test_evaluate_takes_pictures_and_metrics_from_the_first_protocol(room, own_result):
     """The first protocol decides pictures and metrics of the scene, but no score."""
     led = room.evaluate(protocols=["langsplat", "slgaussian", "3d-ovs"])
     assert led.rows[0]["protocol"] == "langsplat@2"
-    assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in rows_of(led, "langsplat")])
+    assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in find_rows(led, "langsplat")])
     assert "hit_peak" in led.scene_metrics and "hit_mask" not in led.scene_metrics
     for protocol in ("slgaussian", "langsplat", "3d-ovs"):
-        assert rows_of(led, protocol) == rows_of(answered, protocol)
+        assert find_rows(led, protocol) == find_rows(own_result, protocol)
     name = f"mask/view_01/{next(iter(room.truth['view_01']))}"
-    assert not np.array_equal(led.pictures[name], answered.pictures[name])
+    assert not np.array_equal(led.pictures[name], own_result.pictures[name])
     with pytest.raises(InputError, match="protocol: found 'lerf', expected one of slgaussian, "):
         room.evaluate(protocols=["lerf"])
 
@@ -179,7 +182,7 @@ class Watched:
             self.asked.append("query")
             self.now += len(texts) + self.once
             self.once = 0
-            return [self.changed(hit) for hit in view.query_all(texts, **rules)]
+            return [self.replace_relevancy(hit) for hit in view.query_all(texts, **rules)]
 
         def segment(texts, **rules):
             self.asked.append("segment")
@@ -194,7 +197,7 @@ class Watched:
             segment=segment,
         )
 
-    def changed(self, hit):
+    def replace_relevancy(self, hit):
         if self.relevancy is None:
             return hit
         names = ("text", "mask", "point", "score", "objects", "unknown")
@@ -203,7 +206,7 @@ class Watched:
         )
 
 
-def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, answered, monkeypatch):
+def test_evaluate_queries_a_method_once_for_all_protocols(room, own_result, monkeypatch):
     method, other = Watched(room.field), replace(room.sample.targets[0], name="other")
     monkeypatch.setattr("slgaussian.benchmark.evaluate.compiling.clock", lambda: method.now)
     sample = replace(room.sample, targets=(*room.sample.targets, other))
@@ -214,7 +217,7 @@ def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, ans
     # along the way.
     untimed, target = ["render", "query"], ["render", "query", "query", "segment"]
     assert method.asked == [*untimed, *target, *target, *["render"] * 3]
-    assert [row for row in result.rows if row["frame"] == "view_01"] == answered.rows
+    assert [row for row in result.rows if row["frame"] == "view_01"] == own_result.rows
     # A method that does not know depths is not judged by them, and none are drawn without any.
     assert not {"target_abs_rel", "abs_rel", "near"} & set(result.scene_metrics)
     assert not any(name.startswith("depth/") for name in result.pictures)
@@ -246,13 +249,13 @@ def test_a_method_is_asked_once_for_all_protocols_and_for_nothing_more(room, ans
         (np.ones((52, 144)), r"the relevancy is \(52, 144\), expected \(104, 144\)"),
     ],
 )
-def test_an_answer_that_is_no_relevancy_is_refused(room, relevancy, message):
+def test_evaluate_refuses_an_invalid_relevancy(room, relevancy, message):
     query = next(iter(room.truth["view_01"]))
     with pytest.raises(InputError, match=f"'view_01': '{query}': .*{message}"):
         evaluate(Watched(room.field, relevancy), room.sample, room.label_maps, Truth(room.truth))
 
 
-def test_hard_truths_are_scored_without_nan(room):
+def test_evaluate_scores_extreme_masks_without_nan(room):
     """Masks of one pixel, all pixels and none; and a known word that the room does not show."""
     some = next(iter(room.truth["view_01"].values()))
     one, corner = np.zeros_like(some), np.zeros_like(some)
@@ -262,12 +265,12 @@ def test_hard_truths_are_scored_without_nan(room):
     result = room.evaluate({"view_01": masks})
     numbers = [value for row in result.rows for value in row.values() if isinstance(value, float)]
     assert numbers and np.isfinite([*numbers, *result.scene_metrics.values()]).all()
-    assert row_of(result, "red qqwx")["note"] == f"unknown: qqwx; {ABSENT}"
+    assert find_row(result, "red qqwx")["note"] == f"unknown: qqwx; {ABSENT}"
     # Two masks overlap in a pixel, which then is no single class; nothing else can be right.
-    assert row_of(result, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size
+    assert find_row(result, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size
 
 
-def test_what_a_transparent_target_shows_by_accident_changes_no_score(room):
+def test_evaluate_ignores_transparent_pixels(room):
     """Colours, labels and depth behind the mask are of a thing that nobody photographed."""
     (target,), truth = room.sample.targets, room.truth["view_01"]
     opaque = np.ones(target.image.shape[:2], bool)
@@ -287,11 +290,11 @@ def test_what_a_transparent_target_shows_by_accident_changes_no_score(room):
     for query, mask in truth.items():
         if (mask & opaque).any():
             predicted = render.query(query).mask[:, 60:]
-            assert row_of(first, query)["iou"] == metrics.iou(predicted, mask[:, 60:])
+            assert find_row(first, query)["iou"] == metrics.iou(predicted, mask[:, 60:])
     seen = render.rgb[:, 60:], target.image[:, 60:]
     assert first.scene_metrics["psnr"] == pytest.approx(metrics.psnr(*seen))
     assert first.scene_metrics["ssim"] == pytest.approx(metrics.ssim(*seen), abs=0.02)
     winners = render.segment(sorted(truth), threshold=0.0)[:, 60:]
     masks = [truth[text][:, 60:] for text in sorted(truth)]
-    accuracy = {row["accuracy"] for row in rows_of(first, "3d-ovs") if row["iou"] is not None}
+    accuracy = {row["accuracy"] for row in find_rows(first, "3d-ovs") if row["iou"] is not None}
     assert accuracy <= {metrics.exact_accuracy(winners, masks)}

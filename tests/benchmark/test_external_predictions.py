@@ -29,7 +29,7 @@ OF_MASKS = ("iou", "boundary_iou", "class_iou", "accuracy", "height", "width")
 
 
 @pytest.fixture(scope="module")
-def judged(room, result):
+def scene(room, result):
     """The scene of the rooms' fixture, without the query that has no ground truth."""
     return JudgedScene(result.scene, result.dataset, "a place", Truth(room.strange_truth))
 
@@ -46,10 +46,10 @@ def folder(tmp_path, result):
 @pytest.fixture
 def entries(result):
     """The masks of the first protocol as entries of a JSON file."""
-    return entries_of(result)
+    return make_entries(result)
 
 
-def entries_of(result, protocol="slgaussian@2", text=True):
+def make_entries(result, protocol="slgaussian@2", text=True):
     entries = []
     for row in result.rows:
         if row["protocol"] == protocol and row["frame"] == "view_01":
@@ -70,10 +70,10 @@ def write(path, content):
     return path
 
 
-def scored(place, judged, *protocols):
+def score(place, scene, *protocols):
     predictions = read_predictions(place, protocols)
     chosen = [load_protocol(name) for name in protocols or predictions.protocols]
-    (result,) = score_predictions(predictions, [judged], chosen)
+    (result,) = score_predictions(predictions, [scene], chosen)
     return result, predictions
 
 
@@ -81,8 +81,8 @@ def by_key(rows):
     return {(row["protocol"], row["frame"], row["query"]): row for row in rows}
 
 
-def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
-    rescored, predictions = scored(folder, judged)
+def test_score_predictions_repeats_scores_of_a_run(folder, result, scene):
+    rescored, predictions = score(folder, scene)
     assert predictions.methods == {"slgaussian": tuple(sorted(SCORABLE))}
     rows, theirs = by_key(rescored.rows), by_key(result.rows)
     scorable = {
@@ -100,7 +100,7 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
         r["class_iou"] for r in rescored.rows
     )
     assert rows["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
-    unused = predictions.unused
+    unused = predictions.extra
     assert unused and all(" in halfway of " in name for name in unused)
     for key, mask in rescored.predictions.items():
         assert np.array_equal(mask, result.predictions[key])
@@ -108,38 +108,38 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
     assert rescored.scene_metrics["iou"] == result.scene_metrics["iou"]
 
 
-def test_methods_are_scored_by_the_protocols_of_their_masks(folder, judged):
+def test_score_predictions_uses_protocols_of_the_masks(folder, scene):
     masks = folder / "predictions"
     shutil.copytree(masks / "slgaussian" / "langsplat", masks / "another" / "langsplat")
     predictions = read_predictions(folder)
     assert list(predictions.methods) == ["slgaussian", "another"]
     chosen = [load_protocol(name) for name in predictions.protocols]
-    ours, other = score_predictions(predictions, [judged], chosen)
+    ours, other = score_predictions(predictions, [scene], chosen)
     assert (ours.method, other.method) == ("slgaussian", "another")
     assert {row["protocol"] for row in other.rows} == {"langsplat@2"}
 
 
 @pytest.mark.parametrize("text", [True, False])
-def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, judged, text):
-    file = write(tmp_path / "mine.json", entries_of(result, text=text))
-    rescored, predictions = scored(file, judged, "slgaussian")
+def test_score_predictions_scores_run_lengths_with_points(tmp_path, result, scene, text):
+    file = write(tmp_path / "mine.json", make_entries(result, text=text))
+    rescored, predictions = score(file, scene, "slgaussian")
     rows, theirs = by_key(rescored.rows), by_key(result.rows)
     assert rescored.method == "mine" and predictions.methods == {"mine": ()}
-    assert len(rows) == len(judged.truth.masks["view_01"])
+    assert len(rows) == len(scene.truth.masks["view_01"])
     for key, row in rows.items():
         names = ["iou", "boundary_iou", "point_x", "point_y"]
         names += ["hit_mask", "hit_box"] if row["point_x"] is not None else []
         assert [row[name] for name in names] == [theirs[key][name] for name in names]
         assert row["class_iou"] is None
     assert any(row["hit_mask"] for row in rows.values())
-    box = by_key(scored(file, judged, "langsplat")[0].rows)["langsplat@2", "view_01", "qqwx"]
+    box = by_key(score(file, scene, "langsplat")[0].rows)["langsplat@2", "view_01", "qqwx"]
     assert box["hit_box"] is None and box["iou"] == 0
 
 
-def test_texts_compete_by_masks_that_do_not_overlap(tmp_path, result, judged):
-    entries = [{**entry, "method": "ours"} for entry in entries_of(result, "3d-ovs@2")]
+def test_score_predictions_refuses_overlap_where_texts_compete(tmp_path, result, scene):
+    entries = [{**entry, "method": "ours"} for entry in make_entries(result, "3d-ovs@2")]
     file = write(tmp_path / "own.json", entries)
-    rescored, _ = scored(file, judged, "slgaussian", "3d-ovs")
+    rescored, _ = score(file, scene, "slgaussian", "3d-ovs")
     theirs = by_key(result.rows)
     for (protocol, *rest), row in by_key(rescored.rows).items():
         assert row["class_iou"] == theirs["slgaussian@2", *rest]["class_iou"]
@@ -149,29 +149,29 @@ def test_texts_compete_by_masks_that_do_not_overlap(tmp_path, result, judged):
     entries[-1]["counts"] = encode(np.ones((104, 144), bool))
     write(file, entries)
     with pytest.raises(InputError, match=r"own\.json: \[\d+\], .* overlaps the mask of '"):
-        scored(file, judged, "3d-ovs")
-    assert scored(file, judged, "slgaussian")
+        score(file, scene, "3d-ovs")
+    assert score(file, scene, "slgaussian")
 
 
-def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judged):
-    query = next(q for q, mask in judged.truth.masks["view_01"].items() if mask.any())
+def test_score_predictions_counts_a_missing_mask_as_empty(folder, result, scene):
+    query = next(q for q, mask in scene.truth.masks["view_01"].items() if mask.any())
     for text in (query, "red sofa"):  # of the second there is no truth: no sample
         row = {**result.rows[0], "query": text, "protocol": "slgaussian@2"}
         (folder / "predictions" / mask_paths([row])[0]).unlink()
-    rescored, predictions = scored(folder, judged, "slgaussian")
+    rescored, predictions = score(folder, scene, "slgaussian")
     rows = by_key(rescored.rows)
     row = rows["slgaussian@2", "view_01", query]
     assert (row["iou"], row["note"]) == (0, NOT_GIVEN)
     assert rows["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
-    assert predictions.samples == sum(m.any() for m in judged.truth.masks["view_01"].values())
-    assert predictions.missing == [f"{query!r} in view_01 of {judged.scene}"]
+    assert predictions.samples == sum(m.any() for m in scene.truth.masks["view_01"].values())
+    assert predictions.missing == [f"{query!r} in view_01 of {scene.scene}"]
     assert ("slgaussian@2", "view_01", query) not in rescored.predictions
 
 
-def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judged):
-    query, other = list(judged.truth.masks["view_01"].values())[:2]
+def test_score_predictions_matches_plain_names_and_frames(tmp_path, scene):
+    query, other = list(scene.truth.masks["view_01"].values())[:2]
     odd = Truth({"left/view_01.jpg": {"café": query, "a?b": other}})
-    scene = replace(judged, scene="Zuhause, oben", truth=odd)
+    scene = replace(scene, scene="Zuhause, oben", truth=odd)
     plain = tmp_path / "p" / "My method!" / "slgaussian" / scene.scene / "view_01" / "café.png"
     row = {"method": "x", "protocol": "slgaussian@2", "scene": scene.scene, "query": "a?b"}
     safe = mask_paths([{**row, "frame": "left/view_01.jpg"}])[0]
@@ -179,13 +179,13 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
     for path, mask in ((plain, query), (safe, other)):
         path.parent.mkdir(parents=True)
         Image.fromarray(mask).save(path)
-    rescored, predictions = scored(tmp_path / "p", scene)
+    rescored, predictions = score(tmp_path / "p", scene)
     assert [row["iou"] for row in rescored.rows] == [1, 1] and not predictions.missing
-    assert rescored.method == "My method!" and not predictions.unused
+    assert rescored.method == "My method!" and not predictions.extra
     entry = {"scene": scene.scene, "query": "café", "size": [104, 144], "counts": encode(query)}
     for frame in ("left/view_01.jpg", "left/view_01", "view_01"):
         file = write(tmp_path / "m.json", [{**entry, "frame": frame}])
-        rescored, predictions = scored(file, scene)
+        rescored, predictions = score(file, scene)
         assert [row["iou"] for row in rescored.rows] == [1, 0] and len(predictions.missing) == 1
 
 
@@ -196,18 +196,18 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
         (lambda png: encode_png(np.ones((52, 72), bool)), "has 52x72 pixels, height first, and"),
     ],
 )
-def test_a_damaged_mask_is_one_sentence(folder, result, judged, damage, message):
+def test_score_predictions_refuses_a_damaged_png(folder, result, scene, damage, message):
     file = folder / "predictions" / mask_paths(result.rows[:1])[0]
     file.write_bytes(damage(file.read_bytes()))
     with pytest.raises(InputError) as refused:
-        scored(folder, judged, "slgaussian")
+        score(folder, scene, "slgaussian")
     assert str(refused.value).startswith(str(file)) and message in str(refused.value)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is judged at 104x"),
+        ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is scene at 104x"),
         ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
         ({"counts": "0"}, "its counts add up to 0 pixels, expected 14976; write the mask again"),
         ({"point": [3]}, "point: found [3]; "),
@@ -217,15 +217,15 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged, damage, message)
         ({"query": ""}, "query: found ''; "),
     ],
 )
-def test_an_entry_that_does_not_fit_is_one_sentence(tmp_path, entries, judged, change, message):
+def test_score_predictions_refuses_an_invalid_entry(tmp_path, entries, scene, change, message):
     entries[1] |= change
     file = write(tmp_path / "own.json", entries)
     with pytest.raises(InputError) as refused:
-        scored(file, judged, "slgaussian")
+        score(file, scene, "slgaussian")
     assert str(refused.value).startswith(f"{file}: [1]") and message in str(refused.value)
 
 
-def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, entries):
+def test_read_predictions_refuses_other_documents(tmp_path, entries):
     file = tmp_path / "own.json"
     for content, message in (
         ("[", "is not valid JSON"),

@@ -9,7 +9,7 @@ from slgaussian.benchmark import hard_cases
 from slgaussian.benchmark.hard_cases import nearest_code, rasterize, sigmoid, unproject
 
 
-def test_every_case_is_within_its_bound():
+def test_hard_cases_stay_below_their_bounds():
     cases = hard_cases.measure_hard_cases()
     assert [case.case for case in cases if not case.good] == []
     assert len({(case.part, case.case) for case in cases}) == len(cases) == 18
@@ -38,7 +38,7 @@ def of_the_next_pixel(cameras, *views):
         ("rasterize", with_more_alpha(math.nan), "rasterizer", 12),
     ],
 )
-def test_wrong_results_are_counted(monkeypatch, name, broken, part, number):
+def test_hard_cases_detect_wrong_kernels(monkeypatch, name, broken, part, number):
     monkeypatch.setattr(hard_cases, name, broken)
     wrong = [case for case in hard_cases.measure_hard_cases() if not case.good]
     assert [case.part.split(",")[0] for case in wrong] == [part] * number

@@ -12,7 +12,7 @@ def write(path, content):
 
 
 @pytest.mark.parametrize("text", ["[]", "{}", '{"hall": 3}', "nonsense"])
-def test_an_index_that_is_not_one_is_refused(tmp_path, text):
+def test_read_index_refuses_other_documents(tmp_path, text):
     with pytest.raises(InputError, match=r"pairs\.json"):
         read_index(write(tmp_path / "pairs.json", text))
 
@@ -34,7 +34,7 @@ INDEX = Index(
 )
 
 
-def test_what_is_written_is_read_in_every_version(tmp_path):
+def test_read_index_reads_all_versions(tmp_path):
     path = tmp_path / "pairs.json"
     write_index(path, INDEX)
     assert read_index(path) == INDEX
@@ -68,7 +68,7 @@ def test_what_is_written_is_read_in_every_version(tmp_path):
         ({"categories": []}, "categories: found [];"),
     ],
 )
-def test_a_bad_index_is_named_with_what_is_wrong(tmp_path, change, message):
+def test_read_index_names_an_invalid_field(tmp_path, change, message):
     path = tmp_path / "pairs.json"
     write_index(path, INDEX)
     content = json.loads(path.read_text())
@@ -84,7 +84,7 @@ def test_a_bad_index_is_named_with_what_is_wrong(tmp_path, change, message):
 PUBLISHED = {"context": [58, 133], "target": [84, 102]}
 
 
-def test_clips_of_a_published_index_are_pairs_without_categories(tmp_path):
+def test_read_index_reads_clips_of_a_published_index(tmp_path):
     file = write(tmp_path / "index.json", {"ab": PUBLISHED, "cd": None})
     views = {"context": ("58", "133"), "target": ("84", "102")}
     pair = ScenePair(labels="ab", options={"key": "ab"}, **views)
@@ -107,7 +107,7 @@ def test_clips_of_a_published_index_are_pairs_without_categories(tmp_path):
             read_index(write(file, {"a": PUBLISHED | change}))
 
 
-def test_the_whole_published_index_is_read(real_data):
+def test_read_index_reads_the_published_file(real_data):
     index = read_index(real_data / "re10k" / "evaluation_index_re10k.json")
     assert len(index.scenes) == 6474
     assert len({name.split("/")[0] for name in index.left_out}) == 575

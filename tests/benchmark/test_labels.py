@@ -37,12 +37,12 @@ def read(folder: Path, *objects) -> dict[str, np.ndarray]:
     return read_labels(folder, NAME, 40, 24)
 
 
-def view_of(opaque: np.ndarray | None = None) -> View:
+def make_view(opaque: np.ndarray | None = None) -> View:
     camera = Camera(np.diag([40, 40, 1.0]), np.eye(4), 40, 24)
     return View(NAME, camera, np.zeros((24, 40, 3), np.uint8), opaque=opaque)
 
 
-def test_points_are_truncated_then_filled_and_objects_of_one_category_are_united(tmp_path):
+def test_read_labels_truncates_points_and_unites_a_category(tmp_path):
     expected = np.zeros((24, 40), np.uint8)
     cv2.fillPoly(expected, [np.array([[2, 1], [17, 3], [9, 13]], np.int32)], 1)
     square = np.zeros((24, 40), bool)
@@ -56,11 +56,11 @@ def test_points_are_truncated_then_filled_and_objects_of_one_category_are_united
     assert masks["sofa"].dtype == bool
     assert np.array_equal(masks["sofa"], expected.astype(bool))
     assert np.array_equal(masks["red crate"], masks["sofa"] | square)
-    boxes = read_truth(tmp_path, ["red crate"], [view_of()]).boxes[NAME]["red crate"]
+    boxes = read_truth(tmp_path, ["red crate"], [make_view()]).boxes[NAME]["red crate"]
     assert boxes.tolist() == [[2, 1, 17, 14], [20, 10, 28, 18]]
 
 
-def test_a_hole_is_cut_out_of_its_own_object_only(tmp_path):
+def test_read_labels_cuts_a_hole_from_its_object_only(tmp_path):
     outer = [[5, 5], [25, 5], [25, 20], [5, 20]]
     ring = thing("crate", outer, holes=[[[10, 9], [20, 9], [20, 15], [10, 15]]])
     inside = np.zeros((24, 40), bool)
@@ -77,7 +77,7 @@ def test_a_hole_is_cut_out_of_its_own_object_only(tmp_path):
         assert both[11:14, 12:17].all() and both.sum() == cut.sum() + 15
 
 
-def test_frames_of_one_name_in_two_folders_have_their_own_labels(tmp_path):
+def test_read_labels_distinguishes_equal_names_in_two_folders(tmp_path):
     for folder, category in (("left", "sofa"), ("right", "door"), (".", "table")):
         (tmp_path / folder).mkdir(exist_ok=True)
         write(tmp_path / folder, thing(category))
@@ -89,24 +89,24 @@ def test_frames_of_one_name_in_two_folders_have_their_own_labels(tmp_path):
 
 @settings(max_examples=30, deadline=None)
 @given(width=st.integers(10, 90), height=st.integers(10, 90))
-def test_a_mask_lands_where_the_image_lands(tmp_path_factory, width, height):
+def test_read_labels_resamples_masks_as_the_image(tmp_path_factory, width, height):
     folder = tmp_path_factory.mktemp("labels")
     full = read(folder, thing(), thing("box", SQUARE, (20, 10, 28, 18)))
     fitted = read_labels(folder, NAME, width, height)
     for category, mask in full.items():
-        assert np.array_equal(fitted[category], view_of(mask).resized(height, width).opaque)
+        assert np.array_equal(fitted[category], make_view(mask).resized(height, width).opaque)
     # A box follows its pixels: its corners are where the resized camera sees them.
-    view = view_of().resized(height, width)
+    view = make_view().resized(height, width)
     boxes = read_truth(folder, ["box"], [view]).boxes[NAME]["box"]
-    rays = np.linalg.inv(view_of().camera.K) @ np.array([[20, 10, 1], [28, 18, 1]], float).T
+    rays = np.linalg.inv(make_view().camera.K) @ np.array([[20, 10, 1], [28, 18, 1]], float).T
     corners = (view.camera.K @ rays)[:2].T
     assert boxes[0] == pytest.approx(corners.ravel(), abs=1e-9)
 
 
-def test_a_category_that_is_cropped_away_or_unlabelled_has_an_empty_mask(tmp_path):
+def test_read_truth_gives_an_empty_mask_to_an_absent_category(tmp_path):
     write(tmp_path, thing(), thing("edge", [[0, 0], [1, 0], [1, 23], [0, 23]], (0, 0, 1, 23)))
     categories = ["edge", "red crate", "ghost"]
-    truth = read_truth(tmp_path, categories, [view_of().resized(24, 24)])
+    truth = read_truth(tmp_path, categories, [make_view().resized(24, 24)])
     is_visible = {category: bool(mask.any()) for category, mask in truth.masks[NAME].items()}
     assert list(is_visible.items()) == [("edge", False), ("red crate", True), ("ghost", False)]
     assert truth.boxes[NAME]["ghost"].shape == (0, 4)
@@ -125,20 +125,20 @@ LARGE = [[10, 4], [30, 4], [30, 16], [10, 16]]
         (LARGE, (30, 16, 10, 4), (10, 4, 30, 16)),
     ],
 )
-def test_a_box_is_read_in_the_form_that_its_polygon_confirms(tmp_path, polygon, bbox, expected):
+def test_read_truth_detects_the_form_of_a_box_by_its_polygon(tmp_path, polygon, bbox, expected):
     write(tmp_path, thing("crate", polygon, bbox), thing("sofa"))
     is_coco = not np.allclose(np.sort(np.reshape(bbox, (2, 2)), 0).ravel(), expected)
     says = pytest.warns(UserWarning, match=r"frame_1\.json: 1 boxes are x, y, width, height, as th")
     with says if is_coco else nullcontext():
-        boxes = read_truth(tmp_path, ["crate", "sofa"], [view_of()]).boxes[NAME]
+        boxes = read_truth(tmp_path, ["crate", "sofa"], [make_view()]).boxes[NAME]
     np.testing.assert_allclose(boxes["crate"], [expected])
     np.testing.assert_allclose(boxes["sofa"], [(2.9, 1.9, 17.4, 13.8)])
 
 
-def test_an_object_in_parts_may_have_the_box_of_all_of_them(tmp_path):
+def test_read_truth_accepts_one_box_of_several_parts(tmp_path):
     whole, rest = (2.9, 1.9, 28, 18), (20, 10, 28, 18)
     write(tmp_path, thing("tap", TRIANGLE, whole), thing("tap", SQUARE, rest))
-    boxes = read_truth(tmp_path, ["tap"], [view_of()]).boxes[NAME]["tap"]
+    boxes = read_truth(tmp_path, ["tap"], [make_view()]).boxes[NAME]["tap"]
     np.testing.assert_allclose(boxes, [whole, rest])
 
 
@@ -169,7 +169,7 @@ def test_an_object_in_parts_may_have_the_box_of_all_of_them(tmp_path):
         "hole",
     ],
 )
-def test_numbers_of_labels_that_contradict_each_other_are_refused(tmp_path, wrong, message):
+def test_read_labels_refuses_contradictory_numbers(tmp_path, wrong, message):
     with pytest.raises(InputError, match=rf"frame_1\.json: 'cup': .*{message}"):
         read(tmp_path, thing(), thing("cup", **wrong))
 
@@ -194,7 +194,7 @@ MISSING = object()
         ("info.name", "frame_2.png", "drawn on 'frame_2.png'"),
     ],
 )
-def test_a_bad_label_file_is_named_with_what_is_wrong(tmp_path, place, value, message):
+def test_read_labels_names_an_invalid_field(tmp_path, place, value, message):
     path = write(tmp_path, thing())
     content = node = json.loads(path.read_text())
     *above, last = (int(key) if key.isdigit() else key for key in place.split("."))
@@ -209,7 +209,7 @@ def test_a_bad_label_file_is_named_with_what_is_wrong(tmp_path, place, value, me
     assert str(path) in str(caught.value) and message in str(caught.value)
 
 
-def test_a_missing_or_unreadable_label_file_is_named(tmp_path):
+def test_read_labels_names_a_missing_or_damaged_file(tmp_path):
     with pytest.raises(InputError, match=r"frame_7\.json: cannot read the label file"):
         read_labels(tmp_path, "images/frame_7.png", 40, 24)
     (tmp_path / "frame_7.json").write_text("{")

@@ -12,12 +12,12 @@ from slgaussian.benchmark import metrics
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 70), st.integers(1, 90))), st.integers(0, 2**32 - 1))
-def test_boundary_iou_is_that_of_pixel_by_pixel_erosion(mask, seed):
+def test_boundary_iou_equals_erosion_by_single_pixels(mask, seed):
     other = mask ^ (np.random.default_rng(seed).random(mask.shape) < 0.1)
     assert metrics.boundary_iou(mask, other) == plain.boundary_iou(mask, other)
 
 
-def test_class_ious_are_those_of_classes_in_sight():
+def test_class_ious_omit_absent_classes():
     labels = np.array([[1, 1, 2, 0]])
     truths = [labels < 2, labels > 2, labels == 2]
     assert metrics.class_ious(labels, truths) == [2 / 3, None, 0]
@@ -29,7 +29,7 @@ def test_class_ious_are_those_of_classes_in_sight():
     [((2, 1), True), ((2.99, 1.99), True), ((1.99, 1), False), ((-1, 1), False), ((4, 1), False)]
     + [((2, -1), False), ((2, 3), False), (None, False)],
 )
-def test_a_point_hits_the_pixel_that_holds_it(point, hit):
+def test_point_in_mask_uses_the_pixel_around_the_point(point, hit):
     mask = np.zeros((3, 4), bool)
     mask[1, 2:] = mask[:, 2] = True  # also where an index of -1 leads
     assert metrics.point_in_mask(point, mask) is hit
@@ -40,7 +40,7 @@ def test_a_point_hits_the_pixel_that_holds_it(point, hit):
     [((10, 40), True), ((55, 5), True), ((31, 30), False), ((20, 41), False), ((9, 30), False)]
     + [((20, 19), False), (None, False)],
 )
-def test_bounds_of_any_box_are_included(point, hit):
+def test_point_in_boxes_includes_bounds(point, hit):
     boxes = np.array([[10.0, 20.0, 30.0, 40.0], [50.0, 0.0, 60.0, 5.0]])
     assert metrics.point_in_boxes(point, boxes) is hit
     assert not metrics.point_in_boxes(point, np.zeros((0, 4)))
@@ -58,7 +58,7 @@ DEPTHS = arrays(np.float32, (4, 5), elements=st.sampled_from([0.0, 0.5, 0.9, 1.0
 
 @settings(max_examples=60)
 @given(DEPTHS, DEPTHS, st.floats(1, 100))
-def test_depth_errors_are_those_of_a_plain_loop(predicted, truth, scale):
+def test_depth_errors_equal_a_plain_loop(predicted, truth, scale):
     pairs = zip(predicted.ravel().tolist(), truth.ravel().tolist(), strict=True)
     pairs = [(d, t) for d, t in pairs if t > 0]
     expected = {
@@ -72,7 +72,7 @@ def test_depth_errors_are_those_of_a_plain_loop(predicted, truth, scale):
     assert "bad2" not in metrics.depth_errors(predicted, truth)
 
 
-def test_psnr_known_values():
+def test_psnr_equals_known_values():
     image = np.full((8, 8, 3), 100, np.uint8)
     assert metrics.psnr(image, image) == math.inf
     assert metrics.psnr(image, image + 1) == pytest.approx(20 * math.log10(255), abs=1e-12)
@@ -99,7 +99,7 @@ def plain_ssim(a, b):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0, 60))
-def test_ssim_is_that_of_the_definition(seed, noise):
+def test_ssim_equals_its_definition(seed, noise):
     rng = np.random.default_rng(seed)
     a = gaussian_filter(rng.uniform(0, 255, (24, 31, 3)), (2, 2, 0))
     b = np.clip(a + rng.normal(0, noise, a.shape), 0, 255)

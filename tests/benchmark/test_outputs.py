@@ -17,6 +17,7 @@ from slgaussian.benchmark.outputs import (
     write_masks,
     write_samples,
 )
+from slgaussian.benchmark.scores import Rows
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import rle
 
@@ -26,7 +27,7 @@ def write(out, result, methods=("slgaussian",)) -> None:
     write_masks(((method, result.scene, masks) for method in methods), out)
 
 
-def test_masks_can_be_read_by_any_tool(tmp_path, result, monkeypatch):
+def test_write_masks_is_readable_by_other_tools(tmp_path, result, monkeypatch):
     monkeypatch.setattr(outputs, "MASKS_IN_MEMORY", 3)
     write(tmp_path, result, ("slgaussian", "other"))
     names = ("protocol", "frame", "query")
@@ -46,7 +47,7 @@ def test_masks_can_be_read_by_any_tool(tmp_path, result, monkeypatch):
         assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
 
 
-def test_masks_of_an_earlier_run_are_replaced_by_a_whole_file_only(tmp_path, result):
+def test_write_masks_replaces_an_earlier_file_as_a_whole(tmp_path, result):
     write(tmp_path, result, ("slgaussian", "other"))
     file = tmp_path / "masks.parquet"
     before = file.read_bytes()
@@ -62,7 +63,7 @@ def test_masks_of_an_earlier_run_are_replaced_by_a_whole_file_only(tmp_path, res
         read_predictions(tmp_path)
 
 
-def test_file_names_are_safe_and_differ():
+def test_file_name_is_safe_and_unique():
     assert file_name("blue-grey sofa") == "blue-grey sofa"
     odd = ["../etc", "a/b", "a\\b", "a:b", "a?b", ".hidden", "hidden", "é", "", " x", "x"]
     odd += ["l" * 300, "con", "con.txt"]
@@ -72,7 +73,7 @@ def test_file_names_are_safe_and_differ():
         assert re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._ -]{0,99}", name)
 
 
-def test_an_unwritable_place_is_named(tmp_path, result):
+def test_outputs_name_an_unwritable_place(tmp_path, result):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):
-        write_samples(result.rows, tmp_path / "file")
+        write_samples(Rows.from_rows(result.rows), tmp_path / "file")

@@ -9,15 +9,15 @@ from slgaussian.benchmark.reports.paper_tables import TABLES, paper_section
 from slgaussian.benchmark.statistics import interval_of_mean
 
 
-def row_of(scene: str, **columns) -> dict:
+def make_row(scene: str, **columns) -> dict:
     return sample(scene, **{"method": "slgaussian", "share": None, **columns})
 
 
-def data_of(format: str, scene: str, published: bool = True) -> dict:
+def describe_data(format: str, scene: str, published: bool = True) -> dict:
     return {"format": format, "scene": scene, "published": published}
 
 
-def tables_of(rows, places, start: str, ours="slgaussian") -> list[Table]:
+def read_tables(rows, places, start: str, ours="slgaussian") -> list[Table]:
     """The tables whose title starts so."""
     blocks = paper_section(rows, places, ours).blocks
     return [block for block in blocks if isinstance(block, Table) and block.title.startswith(start)]
@@ -30,22 +30,22 @@ def cells(table, label: str):
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_the_overall_numbers_are_the_means_of_the_scenes(place):
+def test_printed_tables_have_consistent_means(place):
     """The paper says so; this finds typing errors. Tolerance: half of the last digit."""
     *scenes, overall = (np.array(line["numbers"]) for line in TABLES[place]["lines"])
     np.testing.assert_allclose(np.mean(scenes, 0), overall, atol=0.0051)
 
 
-def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
+def test_paper_section_fills_cells_of_present_scenes():
     rows = [
-        row_of("teatime-1", iou=0.2, hit_box=False),
-        row_of("teatime-1", iou=0.4, hit_box=True, query="p"),
-        row_of("teatime-2", iou=0.9, hit_box=True),
+        make_row("teatime-1", iou=0.2, hit_box=False),
+        make_row("teatime-1", iou=0.4, hit_box=True, query="p"),
+        make_row("teatime-2", iou=0.9, hit_box=True),
     ]
-    for other in ({}, {"teatime-1": data_of("lerf_ovs", "teatime", published=False)}):
+    for other in ({}, {"teatime-1": describe_data("lerf_ovs", "teatime", published=False)}):
         assert paper_section(rows, other) is None
-    places = dict.fromkeys(("teatime-1", "teatime-2"), data_of("lerf_ovs", "teatime"))
-    (table,) = tables_of(rows, places, "Table 1")
+    places = dict.fromkeys(("teatime-1", "teatime-2"), describe_data("lerf_ovs", "teatime"))
+    (table,) = read_tables(rows, places, "Table 1")
     assert "slgaussian@2 (near-best" in table.notes[0]
     titles = [column.title for column in table.columns[1:3]]
     assert titles == ["IoU (%): LERF", "IoU (%): LangSplat / langsplat-like"]
@@ -54,34 +54,34 @@ def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
     assert teatime[5] == ("50.00", "66.67, n 3")
     assert teatime[0] == ("21.64", "")
     assert cells(table, "ramen")[2] == ("55.21", "") and cells(table, "overall")[2] == ("41.50", "")
-    (ablation,) = tables_of(rows, places, "Table 3")
+    (ablation,) = read_tables(rows, places, "Table 3")
     expected = [("40.65", "50.00, n 3"), ("51.97", "")]
     assert cells(ablation, "feed-forward model + MA + MV-LMB") == expected
 
 
-def test_the_overall_is_the_mean_of_all_scenes_each_counting_once():
+def test_paper_section_weights_scenes_equally():
     rows, places = [], {}
     for k, line in enumerate(TABLES[0]["lines"][:-1]):
         scene = line["title"]
-        places[scene] = data_of("lerf_ovs", scene)
+        places[scene] = describe_data("lerf_ovs", scene)
         for method in ("mine", "query-2d"):
             named = {"method": method, "iou": 0.2 * k, "hit_box": True}
-            rows += [row_of(scene, query=f"q{j}", **named) for j in range(k + 1)]
+            rows += [make_row(scene, query=f"q{j}", **named) for j in range(k + 1)]
     low, high = interval_of_mean(np.arange(4) * 20.0)
-    (table,) = tables_of(rows, places, "Table 1", "mine")
+    (table,) = read_tables(rows, places, "Table 1", "mine")
     expected = f"30.00 ({low:.2f}–{high:.2f}), n 10"
     assert cells(table, "overall")[2] == ("41.50", expected)
-    (table,) = tables_of(rows, places, "Table 4", "mine")
+    (table,) = read_tables(rows, places, "Table 4", "mine")
     assert cells(table, "SLGaussian")[0][1] == cells(table, "2D Query")[0][1] == expected
     assert cells(table, "SLGaussian")[2] == ("0.011", "")
 
 
-def test_closed_set_numbers_are_those_of_their_protocol():
+def test_paper_section_uses_the_protocol_of_a_column():
     rows = [
-        row_of("bed", protocol="3d-ovs@2", class_iou=0.5),
-        row_of("bed", iou=0.25, class_iou=0.1),
-        row_of("bed", protocol="langsplat@2", iou=0.75, filter=30),
+        make_row("bed", protocol="3d-ovs@2", class_iou=0.5),
+        make_row("bed", iou=0.25, class_iou=0.1),
+        make_row("bed", protocol="langsplat@2", iou=0.75, filter=30),
     ]
-    by_rules, by_langsplat = tables_of(rows, {"bed": data_of("ovs3d", "bed")}, "Table 2")
+    by_rules, by_langsplat = read_tables(rows, {"bed": describe_data("ovs3d", "bed")}, "Table 2")
     assert [mine for _, mine in cells(by_rules, "bed")][2::4] == ["25.00, n 1", "50.00, n 1"]
     assert cells(by_langsplat, "bed")[2][1] == "75.00, n 1"

@@ -15,7 +15,7 @@ def photo() -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
 
 
-def test_colours_of_a_typical_scene_are_told_apart():
+def test_label_colors_differ_between_objects():
     lab = rgb2lab(pictures.label_colors(np.arange(1, 25))[None] / 255)[0]
     distances = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
     # A CIELAB difference of about 2.3 is just noticed; these are six times that apart.
@@ -25,7 +25,7 @@ def test_colours_of_a_typical_scene_are_told_apart():
 
 
 @given(st.lists(st.floats(0.5, 20), min_size=2, max_size=8, unique=True))
-def test_nearer_is_redder_and_unknown_is_dark(depths):
+def test_paint_depth_paints_near_red_and_unknown_dark(depths):
     near, far = min(depths), max(depths)
     assume(far > 1.001 * near)  # nearer by rounding alone is one colour
     ((nearest, farthest, unknown),) = pictures.paint_depth(np.array([[near, far, 0.0]]), near, far)
@@ -33,10 +33,10 @@ def test_nearer_is_redder_and_unknown_is_dark(depths):
     assert unknown.tolist() == [28, 28, 28]
 
 
-def test_relevancy_is_stretched_to_what_occurs(photo):
+def test_paint_relevancy_range_covers_present_values(photo):
     grey = np.full((60, 80, 3), 90, np.uint8)
     painted, wide = (
-        pictures.paint_stretched(np.tile(np.linspace(*ends, 80), (60, 1)), grey)
+        pictures.paint_relevancy_range(np.tile(np.linspace(*ends, 80), (60, 1)), grey)
         for ends in ((0.40, 0.44), (0.1, 1))
     )
     assert np.array_equal(painted[:40], wide[:40])  # below them stand the ends, which differ
@@ -47,10 +47,10 @@ def test_relevancy_is_stretched_to_what_occurs(photo):
     flat = np.full((60, 80), 0.7)
     flat[:, :20] = 0  # where nothing is drawn
     for constant in (flat, 0 * flat):
-        assert (np.ptp(pictures.paint_stretched(constant, photo), axis=-1) == 0).all()
+        assert (np.ptp(pictures.paint_relevancy_range(constant, photo), axis=-1) == 0).all()
 
 
-def test_drawing_leaves_the_picture_it_is_given_alone(photo):
+def test_drawing_does_not_change_its_input(photo):
     before, mask = photo.copy(), np.zeros((60, 80), bool)
     mask[20:40, 30:50] = True
     outlined = pictures.draw_outline(photo, mask, pictures.TRUE_COLOUR)
@@ -64,13 +64,13 @@ def test_drawing_leaves_the_picture_it_is_given_alone(photo):
     assert pictures.draw_point(photo, None) is photo
 
 
-def test_png_is_exact_and_a_mask_takes_one_bit(photo):
+def test_encode_png_is_exact_with_one_bit_per_mask_pixel(photo):
     for image, mode in ((photo, "RGB"), (photo[..., 0] > 127, "1")):
         decoded = Image.open(io.BytesIO(pictures.encode_png(image)))
         assert decoded.mode == mode and np.array_equal(np.asarray(decoded), image)
 
 
-def test_objects_are_cut_from_the_view_that_shows_most_of_them(photo):
+def test_cut_out_uses_the_view_of_the_largest_box(photo):
     other = 255 - photo
     boxes = [[[5, 10, 25, 20], [0, 0, 10, 10]], [[0, 0, 0, 0], [70, 50, 80, 60]]]
     labels = np.full((2, 60, 80), 4)

@@ -35,14 +35,14 @@ def check(frame):
                 assert 0 <= item.scores[key] <= 1
 
 
-def box_of(mask):
+def find_box(mask):
     ys, xs = np.nonzero(mask)
     if not len(ys):
         return np.zeros((0, 4))
     return np.array([[xs.min(), ys.min(), xs.max(), ys.max()]], float)
 
 
-def frame_of(truths, seed):
+def make_frame(truths, seed):
     """Return random answers of a method with one relevancy for each object, mostly plausible."""
     rng = np.random.default_rng(seed)
     ids = np.zeros(truths[0].shape, np.int32)  # objects: the truths, grown, moved and overlapping
@@ -59,7 +59,7 @@ def frame_of(truths, seed):
         ys, xs = np.nonzero(best)
         answers.append(Answer(relevancy, best, (int(xs[0]), int(ys[0]))))
     labels = np.where(ids > 0, table.argmax(0)[ids] + 1, 0).astype(np.int32)
-    return Frame(answers, truths, [box_of(truth) for truth in truths], labels)
+    return Frame(answers, truths, [find_box(truth) for truth in truths], labels)
 
 
 def drawn(polygon):
@@ -85,9 +85,9 @@ POLYGONS = {
 
 
 @pytest.mark.parametrize("name", POLYGONS)
-def test_scores_of_drawn_polygons_are_the_plain_ones(name):
+def test_protocols_equal_plain_loops_on_polygons(name):
     rest = {"a triangle", "a star"} - {name}
-    check(frame_of([drawn(POLYGONS[n]) for n in (name, *sorted(rest))], seed=0))
+    check(make_frame([drawn(POLYGONS[n]) for n in (name, *sorted(rest))], seed=0))
 
 
 POINTS = st.tuples(st.integers(-30, 100), st.integers(-30, 80))
@@ -97,14 +97,16 @@ POINTS = st.tuples(st.integers(-30, 100), st.integers(-30, 80))
 @given(
     st.lists(st.lists(POINTS, min_size=3, max_size=9), min_size=1, max_size=4), st.integers(0, 99)
 )
-def test_scores_of_any_polygons_are_the_plain_ones(polygons, seed):
-    check(frame_of([drawn(polygon) for polygon in polygons], seed))
+def test_protocols_equal_plain_loops_on_random_polygons(polygons, seed):
+    check(make_frame([drawn(polygon) for polygon in polygons], seed))
 
 
 def score_one(name, relevancy, truth, mask=None, point=None):
     """Score one answer."""
     mask = relevancy > 0.5 if mask is None else mask
-    frame = Frame([Answer(relevancy, mask, point)], [truth], [box_of(truth)], mask.astype(np.int32))
+    frame = Frame(
+        [Answer(relevancy, mask, point)], [truth], [find_box(truth)], mask.astype(np.int32)
+    )
     (actual,) = scored(name, frame)
     return actual
 
@@ -115,23 +117,23 @@ def square(value=0.9, rest=0.1):
     return relevancy, relevancy == np.float32(value)
 
 
-def settings_of(name, width, **rules):
+def mask_settings(name, width, **rules):
     how = load_protocol(name).mask_settings(Rules(**rules), width)
     return how.selection, how.threshold, how.share, how.filter
 
 
-def test_the_filter_is_30_pixels_or_its_share_of_the_width():
+def test_langsplat_filter_is_30_pixels_or_a_share_of_the_width():
     for name, side in (("langsplat", 30), ("langsplat-rescaled", 8)):
-        assert settings_of(name, 260) == ("stretched", 0.4, None, side)
+        assert mask_settings(name, 260) == ("stretched", 0.4, None, side)
         mask = plain.langsplat(square()[0], side)[0]
         assert np.array_equal(score_one(name, *square()).mask, mask)
-    assert settings_of("langsplat-rescaled", 988)[3] == 30
-    assert settings_of("langsplat-rescaled", 576)[3] == 17
+    assert mask_settings("langsplat-rescaled", 988)[3] == 30
+    assert mask_settings("langsplat-rescaled", 576)[3] == 17
 
 
-def test_the_paper_scores_what_the_method_selects_and_says_by_which_rule():
-    assert settings_of("slgaussian", 576, share=0.8) == ("near-best", None, 0.8, None)
-    assert settings_of("slgaussian", 576, threshold=0.6) == ("threshold", 0.6, None, None)
+def test_slgaussian_protocol_states_the_rule_of_its_masks():
+    assert mask_settings("slgaussian", 576, share=0.8) == ("near-best", None, 0.8, None)
+    assert mask_settings("slgaussian", 576, threshold=0.6) == ("threshold", 0.6, None, None)
     relevancy, truth = square()
     half = truth.copy()
     half[:, :135] = False
@@ -140,12 +142,12 @@ def test_the_paper_scores_what_the_method_selects_and_says_by_which_rule():
     assert actual.scores["hit_mask"] is True
 
 
-def test_a_class_that_the_frame_does_not_show_still_competes():
+def test_three_d_ovs_lets_absent_classes_compete():
     truth, nothing, labels = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool), np.ones(SHAPE, np.int32)
     truth[:, :36] = True
     labels[:, :9] = 2
     answer = Answer(np.full(SHAPE, 0.5, np.float32), nothing, (3, 3))
-    boxes = [box_of(truth), box_of(nothing)]
+    boxes = [find_box(truth), find_box(nothing)]
     present, absent = scored("3d-ovs", Frame([answer] * 2, [truth, nothing], boxes, labels))
     assert absent.scores == {} and absent.mask[:, :9].all() and present.point is None
     # Its wins are errors; and so is all of the unlabelled half.
@@ -154,18 +156,18 @@ def test_a_class_that_the_frame_does_not_show_still_competes():
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("columns", [72, 0, 36])
-def test_a_constant_relevancy(value, columns):
+def test_protocols_score_a_constant_relevancy(value, columns):
     truth = np.zeros(SHAPE, bool)
     truth[:, :columns] = True
     relevancy = np.full(SHAPE, value, np.float32)
     labels = (relevancy > 0.5).astype(np.int32)
-    check(Frame([Answer(relevancy, relevancy > 0.5, None)], [truth], [box_of(truth)], labels))
+    check(Frame([Answer(relevancy, relevancy > 0.5, None)], [truth], [find_box(truth)], labels))
     literal = score_one("langsplat", relevancy, truth)
     assert not literal.mask.any()
     assert (literal.point is None) == (value == 0)
 
 
-def test_pixels_that_nothing_is_known_of_do_not_stretch_langsplats_range():
+def test_langsplat_protocol_ignores_unknown_pixels():
     """Three values, 0.4 to 0.6, and a hole: the mask equals that of the image without a hole."""
     relevancy, truth = square(0.6, 0.4)
     relevancy[60:120, 200:250] = 0.5

@@ -5,10 +5,10 @@ import pytest
 from rows import sample
 
 from slgaussian.benchmark.reports.score_tables import difference_tables, method_tables
-from slgaussian.benchmark.scores import differences
+from slgaussian.benchmark.scores import Rows, differences
 
 
-def rows_of(method: str, *ious: float, places=None, **columns) -> list[dict]:
+def make_rows(method: str, *ious: float, places=None, **columns) -> list[dict]:
     """Return a row per scene."""
     places = places or [None] * len(ious)
     return [
@@ -17,9 +17,9 @@ def rows_of(method: str, *ious: float, places=None, **columns) -> list[dict]:
     ]
 
 
-def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
-    rows = rows_of("c", 0.4994) + rows_of("a", 0.50004) + rows_of("b", 0.5, share=0.5)
-    (table,) = method_tables(rows)
+def test_method_tables_mark_and_rank_the_best():
+    rows = make_rows("c", 0.4994) + make_rows("a", 0.50004) + make_rows("b", 0.5, share=0.5)
+    (table,) = method_tables(Rows.from_rows(rows))
     assert [(row[0].value, row[1].value, row[1].mark) for row in table.rows] == [
         ("a", "0.500", "best"),
         ("b", "0.500", "best"),
@@ -29,16 +29,16 @@ def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
     assert table.notes[:2] == [f"slgaussian@2: {common}.", f"b: {common.replace('0.7', '0.5')}."]
 
 
-def test_data_sets_and_protocols_are_apart():
+def test_method_tables_separate_data_sets_and_protocols():
     other = {"protocol": "3d-ovs@2", "accuracy": 0.5}
-    rows = rows_of("a", None, **other) + rows_of("a", 0.5) + rows_of("a", 0.7, dataset="e")
-    tables = method_tables(rows)
+    rows = make_rows("a", None, **other) + make_rows("a", 0.5) + make_rows("a", 0.7, dataset="e")
+    tables = method_tables(Rows.from_rows(rows))
     assert [(table.title, table.columns[1].title) for table in tables] == [
         ("d, protocol slgaussian@2", "IoU"),
         ("e, protocol slgaussian@2", "IoU"),
         ("d, protocol 3d-ovs@2", "Accuracy"),
     ]
-    assert method_tables([]) == []
+    assert method_tables(Rows.from_rows([])) == []
 
 
 STEADY = np.array([0.01, -0.01, 0.02, 0.0, -0.02, 0.01, 0.0, -0.01])
@@ -60,12 +60,12 @@ SPREAD = np.linspace(0.1, 0.9, 8)
         ([0.6] * 8, [0.5] * 8, "abcdefgg", ("+0.100", "better")),
     ],
 )
-def test_a_difference_is_beyond_noise_or_not(ours, theirs, places, cell):
-    pair = rows_of("a", *ours, places=places), rows_of("b", *theirs, places=places)
-    (table,) = difference_tables({"b": pair})
+def test_difference_tables_mark_significance(ours, theirs, places, cell):
+    pair = make_rows("a", *ours, places=places), make_rows("b", *theirs, places=places)
+    (difference,) = found = differences(*pair)
+    (table,) = difference_tables({"b": found})
     gain = table.rows[0][1]
     assert (gain.value, gain.mark) == cell
     assert (gain.below == "") == (len(set(places)) == 1)
-    (difference,) = differences(*pair)
     if gain.mark == "better":
         assert difference.gain.low > 0

@@ -35,13 +35,13 @@ def difference(rows, baseline):
     return actual
 
 
-def test_every_scene_has_one_weight_whatever_its_samples():
+def test_score_table_weights_scenes_equally():
     row = score(ious(a=[1.0], b=[0.0, 0.5, 0.1]))
     assert row["value"] == pytest.approx((1.0 + 0.2) / 2)
     assert (row["scenes"], row["samples"]) == (2, 4)
 
 
-def test_miou_is_the_mean_over_frames_of_the_mean_over_classes():
+def test_score_table_averages_miou_over_classes_and_frames():
     rows = [
         *(sample("a", q, class_iou=v, accuracy=0.5) for q, v in (("x", 0.2), ("y", 0.4))),
         sample("a", "x", frame="g", class_iou=0.9, accuracy=0.8),
@@ -54,7 +54,7 @@ def test_miou_is_the_mean_over_frames_of_the_mean_over_classes():
     assert score(rows, "miou")["samples"] == 3
 
 
-def test_one_scene_has_no_interval_and_few_have_a_rough_one():
+def test_score_table_notes_missing_and_rough_intervals():
     one_scene = score(ious(a=[0.1, 0.9]))
     assert one_scene["low"] is one_scene["high"] is None and one_scene["note"] == ONE_PLACE
     rows = [row | {"place": "one"} for row in ious(a=[0.1], b=[0.9])]
@@ -66,7 +66,7 @@ def test_one_scene_has_no_interval_and_few_have_a_rough_one():
     assert row["level"] == CONFIDENCE_LEVEL
 
 
-def test_every_scene_of_a_drawn_place_counts_alike():
+def test_score_table_resamples_places_then_scenes():
     """Comparison with plain loops: the mean over all drawn scenes.
 
     There are enough places that no end of an interval is a resampling of one place only, whose
@@ -88,7 +88,7 @@ def test_every_scene_of_a_drawn_place_counts_alike():
     assert (gain.low, gain.high) == ends
 
 
-def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
+def test_score_table_has_the_columns_of_the_spec(result):
     table = score_table(result.rows)
     load_spec("scores").check_table(table, "scores")
     actual = {}
@@ -111,7 +111,7 @@ def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
     assert list(actual) == [protocol.label for protocol in PROTOCOLS.values()]
 
 
-def test_samples_of_several_settings_are_no_one_score():
+def test_score_table_refuses_samples_of_several_settings():
     rows = [sample("a", "x", iou=0.1), sample("b", "x", iou=0.2, temperature=1.0)]
     message = "scores of m by slgaussian@2: samples were made with temperature 1.0, 10.0"
     with pytest.raises(InputError, match=message):
@@ -121,7 +121,7 @@ def test_samples_of_several_settings_are_no_one_score():
     assert score(rows)["filter"] == "9, 17"
 
 
-def test_differences_are_of_what_both_were_asked():
+def test_differences_use_common_samples_only():
     mine = ious(a=[0.9, 0.5], b=[0.4], c=[0.8])
     theirs = [*ious(a=[0.7], b=[0.1]), sample("c", "q0"), sample("d", "q0", iou=0.0)]
     actual = difference(mine, theirs)

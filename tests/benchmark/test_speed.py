@@ -6,23 +6,24 @@ from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from pages import Page, tables_of
+from pages import Page, read_tables
 
 from slgaussian.benchmark.costs import Cost, StageCost, Times
 from slgaussian.benchmark.reports.model import Section, append_section
 from slgaussian.benchmark.reports.speed import pareto_front, speed_blocks
+from slgaussian.benchmark.scores import Rows
 
 STEPS = st.integers(0, 4)  # few, so that many are equal
 
 
 @given(st.lists(st.tuples(STEPS, STEPS), max_size=8))
-def test_the_front_is_what_no_other_beats(points):
+def test_pareto_front_equals_its_definition(points):
     for x, y in points:
         beaten = any((a, b) != (x, y) and a <= x and b <= y for a, b in points)
         assert ((x, y) in pareto_front(points)) == (not beaten)
 
 
-def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):
+def test_speed_blocks_show_scores_costs_and_the_paper(result):
     name, other = result.dataset, "no-bank"
     times = Times(
         {"field": StageCost(1.25, 0.75, 30.0), "masks": StageCost(3.75, 1.5)},
@@ -34,10 +35,11 @@ def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):
         ],
         "slgaussian",
     )
-    rows = [*result.rows, *({**row, "method": other, "iou": 0.0} for row in result.rows)]
+    others = ({**row, "method": other, "iou": 0.0} for row in result.rows)
+    rows = Rows.from_rows([*result.rows, *others])
     section = Section("Speed", speed_blocks(times, rows, [(name, "slgaussian", 20.0)]), "times")
     text = append_section("# Report\n", "md", section)
-    scores, paper, stages, machine = tables_of(text)
+    scores, paper, stages, machine = read_tables(text)
     assert [line[1:3] for line in paper[1:]] == [
         ["0.3", "0.7500"], ["25", "2.0000"], ["0.0006", "0.4000"], ["0.011", "0.5000"],
         ["18", "6.0000"], ["9", "1.5000"], ["6", "1.5000"],
@@ -52,16 +54,15 @@ def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):
     assert "took 30 s more" in text
     page = append_section("<nav></nav><main></main>", "html", section)
     assert '<a href="#times">' in page
-    scene, query = (points_of(image["src"]) for image in Page(page).images)
-    # Ours is the first: the smaller error in both, below in an SVG as y points down.
-    assert scene[0][0] < scene[1][0] and query[0][0] > query[1][0]
-    assert scene[0][1] > scene[1][1] and query[0][1] > query[1][1]
+    ours, theirs = read_points(Page(page).images[0]["src"])
+    # Ours takes fewer seconds and has the smaller error, below in an SVG as y points down.
+    assert ours[0] < theirs[0] and ours[1] > theirs[1]
 
     untimed = [Cost(name, "slgaussian"), Cost(name, other)]
     speed_blocks(replace(times, costs=untimed), rows, [])  # no time, and so no figure
 
 
-def points_of(source: str) -> list[tuple[float, ...]]:
+def read_points(source: str) -> list[tuple[float, ...]]:
     """Return the positions of the markers of methods in the data URI of a figure."""
     svg = base64.b64decode(source.partition(",")[2]).decode()
     marks = re.findall(r'id="method-\d+">.*?<use [^>]*x="([\d.]+)" y="([\d.]+)"', svg, re.DOTALL)

@@ -10,13 +10,13 @@ from slgaussian.errors import InputError
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=30), st.floats(-0.5, 0.5))
-def test_a_constant_gain_is_certain(scores, gain):
+def test_compare_has_no_width_for_a_constant_gain(scores, gain):
     actual = compare([s + gain for s in scores], scores)
     assert (actual.difference, actual.low, actual.high) == (pytest.approx(gain, abs=1e-9),) * 3
     assert actual.samples == len(scores)
 
 
-def test_samples_without_a_score_are_left_out():
+def test_compare_omits_samples_without_a_score():
     assert compare([0.5, np.nan, 0.7], [0.4, 0.2, np.nan]).samples == 1
     with pytest.raises(InputError, match="no sample that both were judged on"):
         compare([np.nan], [0.1])
@@ -37,7 +37,7 @@ def plainly(groups: list, values: np.ndarray, draws: int) -> list[float]:
     return means
 
 
-def test_groups_are_drawn_and_then_values_within_them():
+def test_resample_counts_draw_groups_then_samples():
     """Comparison with plain loops that use other random numbers.
 
     The large group is the best, so the mean of group means differs from the mean of all values; its
@@ -58,7 +58,7 @@ def test_groups_are_drawn_and_then_values_within_them():
 
 
 @given(st.lists(st.floats(0, 1), min_size=2, max_size=20), st.integers(2, 5))
-def test_samples_that_are_there_several_times_make_nothing_surer(values, copies):
+def test_compare_is_not_narrower_with_repeated_samples(values, copies):
     once = compare(values, [0.0] * len(values))
     groups = np.repeat(range(len(values)), copies).tolist()
     repeated = compare(np.repeat(values, copies), [0.0] * len(groups), groups)

@@ -33,7 +33,7 @@ def runs_in(uri: str) -> list:
 
 
 @pytest.mark.usefixtures("server")
-def test_a_run_is_logged_with_settings_scores_and_report(tracking, tmp_path):
+def test_log_results_logs_a_run(tracking, tmp_path):
     out = tmp_path / "out"
     settings = make_settings({"size": "64x96", "out": out, "scenes": [ROOM]}, "test")
     score(settings, ArtifactStore(tmp_path / "store"))
@@ -55,7 +55,7 @@ def test_a_run_is_logged_with_settings_scores_and_report(tracking, tmp_path):
     assert Path(page).read_bytes() == (out / "report.html").read_bytes()
 
 
-def test_a_retraining_is_logged_by_its_numbers_and_outcome(tracking, tmp_path):
+def test_log_results_logs_a_retraining(tracking, tmp_path):
     history = History(tmp_path)
     history.add({"outcome": "refused", "reason": "a", "seconds": 1.0})
     history.add({"outcome": "promoted", "reason": "b", "version": 2, "seconds": 2.0})
@@ -66,7 +66,7 @@ def test_a_retraining_is_logged_by_its_numbers_and_outcome(tracking, tmp_path):
     assert run.data.tags["outcome"] == "promoted"
 
 
-def test_what_mlflow_refuses_is_said_in_a_sentence(tracking, tmp_path, monkeypatch):
+def test_log_results_describes_an_error_of_mlflow(tracking, tmp_path, monkeypatch):
     (tmp_path / "manifest.json").write_text('{"settings": {}}')
     (tmp_path / "mlflow").write_text("a file where the folder would be")
     message = log_results("run", tmp_path)

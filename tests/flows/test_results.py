@@ -49,7 +49,7 @@ def stamps(folder: Path) -> dict[str, tuple[int, int]]:
     return {str(f.relative_to(folder)): (f.stat().st_ino, f.stat().st_mtime_ns) for f in files}
 
 
-def test_every_field_is_left_as_save_writes_it(field, store, tmp_path):
+def test_write_fields_equals_save(field, store, tmp_path):
     ref, out = put_field(store, field), tmp_path / "out"
     results.write_fields(store, dict.fromkeys(SCENES, ref), {}, out)
     field.save(tmp_path / "saved")
@@ -68,7 +68,7 @@ def test_every_field_is_left_as_save_writes_it(field, store, tmp_path):
     assert hit.objects == field.render(camera).query("wall").objects != ()
 
 
-def test_a_second_run_writes_nothing_but_what_is_amiss(field, store, tmp_path):
+def test_write_fields_repairs_differing_files_only(field, store, tmp_path):
     fields, out = dict.fromkeys(SCENES, put_field(store, field)), tmp_path / "out"
 
     def rewrite(places=None) -> set[str]:
@@ -91,7 +91,7 @@ def test_a_second_run_writes_nothing_but_what_is_amiss(field, store, tmp_path):
     assert rewrite({"model": "/moved"}) == set()
 
 
-def test_a_store_that_is_cleared_takes_no_field_along(field, store, tmp_path):
+def test_write_fields_survive_a_cleared_store(field, store, tmp_path):
     out = tmp_path / "out"
     ref = put_field(store, field)
     key = f"field/v3/{'0' * 64}"
@@ -105,7 +105,7 @@ def test_a_store_that_is_cleared_takes_no_field_along(field, store, tmp_path):
         results.write_fields(store, {"room": ref}, {}, out)
 
 
-def test_fields_of_an_earlier_run_go_and_nothing_else(field, tmp_path):
+def test_write_fields_removes_fields_of_an_earlier_run_only(field, tmp_path):
     store, out = ArtifactStore(here(tmp_path)), tmp_path / "out"
     ref = put_field(store, field)
     results.write_fields(store, dict.fromkeys([*SCENES, "third"], ref), {}, out)
@@ -128,7 +128,7 @@ def test_fields_of_an_earlier_run_go_and_nothing_else(field, tmp_path):
     assert sorted(os.listdir(out / "fields")) == ["mine", "third"]
 
 
-def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_path):
+def test_write_fields_links_files_of_the_store(field, tmp_path):
     store, out = ArtifactStore(here(tmp_path)), tmp_path / "out"
     ref = put_field(store, field)
     results.write_fields(store, {"room": ref}, {}, out)
@@ -151,7 +151,7 @@ def example_text(field: SemanticField, *rows: dict) -> str | None:
     return None if result is None else result["text"]
 
 
-def test_the_question_to_begin_with_is_one_that_is_answered_rightly(field):
+def test_example_is_a_query_with_a_correct_answer(field):
     first, *_ = field.cameras.values()
     texts = [*COMMON_OBJECTS, "blue wall", "grey floor", "ball", "cone"]
     hits = field.render(first).query_all(texts)

@@ -69,11 +69,11 @@ def artifact(key: str = ARTIFACT) -> str:
     return latest["data"]
 
 
-def named(folder: Path, table: str) -> set[str]:
+def read_clips(folder: Path, table: str) -> set[str]:
     return set(pq.read_table(folder / "corpus" / f"{table}.parquet")["clip"].to_pylist())
 
 
-def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, slg):
+def test_retrain_records_each_outcome(clips, tmp_path, monkeypatch, slg):
     first, second, judged = clips
     monkeypatch.delenv(NO_EVENTS, raising=False)  # the server is the user's
     config = tmp_path / "night.toml"
@@ -127,7 +127,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert (added.number, added.parent) == (2, 1)
     assert record(tmp_path)["split"] == added.split != ""
     for table in ("views", "pairs", "lessons"):
-        assert named(tmp_path, table) == {second.key, judged.key}
+        assert read_clips(tmp_path, table) == {second.key, judged.key}
 
     # What cannot be done is a failure with an artifact, and the next one is as good.
     (chunk,) = (tmp_path / "chunks").glob(f"{judged.key.replace(' ', '_')}.torch")
@@ -141,7 +141,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert "history.parquet: " in retrain("failed")
 
 
-def test_an_interrupted_retraining_leaves_no_record(tmp_path, monkeypatch):
+def test_retrain_records_nothing_after_an_interrupt(tmp_path, monkeypatch):
     values = {"sources": ["procedural:1"], "out": tmp_path, "models": tmp_path / "models"}
 
     def interrupt(*arguments):
@@ -153,7 +153,7 @@ def test_an_interrupted_retraining_leaves_no_record(tmp_path, monkeypatch):
     assert not (tmp_path / "models" / "history.parquet").exists()
 
 
-def test_settings_that_do_not_fit_are_one_sentence(tmp_path, refusal):
+def test_retrain_refuses_unusable_settings(tmp_path, refusal):
     config = tmp_path / "night.toml"
     config.write_text(CONFIG)
     (tmp_path / "chunks").mkdir()

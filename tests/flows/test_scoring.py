@@ -89,7 +89,7 @@ def masks(folder: Path) -> dict:
     return samples(folder, "masks")
 
 
-def test_a_method_of_another_package_is_in_the_report(run_out):
+def test_benchmark_reports_a_method_of_another_package(run_out):
     rows = [row for key, row in samples(run_out).items() if key[0] == "colours"]
     assert {row["protocol"].partition("@")[0] for row in rows} == PROTOCOLS.keys()
     assert any(row["iou"] for row in rows)
@@ -105,7 +105,7 @@ def test_a_method_of_another_package_is_in_the_report(run_out):
     assert described["colours"].startswith("colours of colours ")
 
 
-def test_another_version_of_its_code_is_asked_again(labelled, run_out, tmp_path):
+def test_benchmark_repeats_answers_of_a_changed_package(labelled, run_out, tmp_path):
     package = shutil.copytree(PACKAGE, tmp_path / "package")
     code = (package / "colours.py").read_text()
     (package / "colours.py").write_text(code.replace("within: float = 0.75", "within: float = 0.9"))
@@ -117,7 +117,7 @@ def test_another_version_of_its_code_is_asked_again(labelled, run_out, tmp_path)
     assert changed == {"colours"}
 
 
-def test_scores_of_the_masks_of_a_run_are_those_of_the_run(labelled, run_out, tmp_path, slg):
+def test_score_repeats_the_scores_of_a_run(labelled, run_out, tmp_path, slg):
     out = tmp_path / "scored"
     status, printed, errors = slg("score", run_out, *data(labelled), "-o", out)
     assert status == 0 and "missing" not in errors and "left out" not in errors
@@ -146,7 +146,7 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(labelled, run_out, tm
     assert "+0.000" in printed and "+0.001" not in printed
 
 
-def test_run_lengths_and_labels_without_an_index(labelled, run_out, tmp_path, slg):
+def test_score_reads_run_lengths_and_labels_without_an_index(labelled, run_out, tmp_path, slg):
     entries = []
     for key, row in samples(run_out).items():
         *_, frame, query = key
@@ -181,7 +181,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, run_out, tmp_path, sl
     assert len(masks(out)) == 1
 
 
-def test_what_cannot_be_scored_is_one_sentence(labelled, run_out, tmp_path, refusal):
+def test_score_refuses_unusable_input(labelled, run_out, tmp_path, refusal):
     empty, other, out = tmp_path / "empty", tmp_path / "other.json", tmp_path / "out"
     empty.mkdir()
     entry = {"scene": "a", "frame": "b", "query": "c", "size": [1, 1], "counts": [1]}

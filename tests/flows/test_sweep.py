@@ -37,7 +37,7 @@ def swept(tmp_path_factory, server):
     return folder, settings, score(settings, ArtifactStore(folder / "store"))
 
 
-def test_each_combination_is_a_method_that_is_asked_the_same(swept):
+def test_sweep_queries_each_combination_alike(swept):
     folder, _, finished = swept
     samples = pq.read_table(folder / "out" / "samples.parquet").to_pylist()
     calls = {}
@@ -55,7 +55,7 @@ def test_each_combination_is_a_method_that_is_asked_the_same(swept):
     assert "found 4 context views" in failure.reason
 
 
-def test_what_a_setting_does_not_touch_is_not_made_again(swept):
+def test_sweep_reuses_stages_without_the_setting(swept):
     folder, *_ = swept
     records = Records(ArtifactStore(folder / "store")).all()
     times = Counter(record.stage for some in records for record in some)
@@ -71,14 +71,14 @@ def test_what_a_setting_does_not_touch_is_not_made_again(swept):
         (["mvsplat.precision=float32"], "no component is 'mvsplat'"),
     ],
 )
-def test_what_cannot_be_swept_is_one_sentence(sweep, sentence):
+def test_sweep_refuses_unusable_fields(sweep, sentence):
     settings = make_settings({"rooms": "0", "sweep": sweep, **SMALL}, "test")
     with pytest.raises(InputError) as error:
         combinations(settings)
     assert sentence in str(error.value)
 
 
-def test_of_photographs_without_labels_the_middle_one_is_held_out(slg, refusal, tmp_path):
+def test_benchmark_holds_out_the_middle_photograph(slg, refusal, tmp_path):
     folder = save_photographs(tmp_path, 64, 96, [f"view_{k:02d}" for k in range(3)])
     cameras = ["--cameras", folder / "transforms.json"]
     out = ["-o", tmp_path / "out", "--store", tmp_path / "store"]

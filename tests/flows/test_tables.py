@@ -6,21 +6,21 @@ import pytest
 
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.outputs import write_samples
-from slgaussian.benchmark.reports.terminal import scenes_text
-from slgaussian.benchmark.scores import scene_means
+from slgaussian.benchmark.reports.score_tables import scenes_text
+from slgaussian.benchmark.scores import Rows, scene_means
 from tests.benchmark.rows import sample
 
 
-def result_of(scene, *ious, method="m", dataset="d"):
+def make_result(scene, *ious, method="m", dataset="d"):
     named = {"method": method, "dataset": dataset}
     rows = [sample(scene, f"q{k}", iou=iou, **named) for k, iou in enumerate(ious)]
     other = [row | {"protocol": "langsplat@2", "iou": 0.0} for row in rows]
     metrics = scene_means(rows) | {"psnr": 20.0}
-    return SceneResult(scene, rows + other, metrics, {}, {}, dataset, method)
+    return SceneResult(scene, Rows.from_rows(rows + other), metrics, {}, {}, dataset, method)
 
 
-def test_the_mean_has_an_interval_and_says_by_what():
-    lines = scenes_text([result_of("a", 0.2, 0.4), result_of("b", 0.9)]).splitlines()
+def test_scenes_text_has_means_intervals_and_conditions():
+    lines = scenes_text([make_result("a", 0.2, 0.4), make_result("b", 0.9)]).splitlines()
     assert [line.split() for line in lines[:-1]] == [
         ["Scene", "IoU", "PSNR"],
         ["a", "0.300", "20.0"],
@@ -33,16 +33,16 @@ def test_the_mean_has_an_interval_and_says_by_what():
     )
 
 
-def test_one_scene_has_no_interval_and_no_scene_no_numbers():
-    *_, mean, by = scenes_text([result_of("a", 0.5)]).splitlines()
+def test_scenes_text_omits_intervals_of_one_scene():
+    *_, mean, by = scenes_text([make_result("a", 0.5)]).splitlines()
     assert mean.split() == ["mean", "0.500", "20.0"]
     assert by.endswith("1 sample of 1 scene; one place: no interval")
-    unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {})
+    unasked = SceneResult("a", Rows.from_rows([]), {"psnr": 20.0}, {}, {})
     assert len(scenes_text([unasked]).splitlines()) == 3
     assert scenes_text([]) == ""
 
 
-def test_the_exit_status_of_a_comparison_gates_by_losses_and_absent_scenes(slg, tmp_path):
+def test_compare_exits_by_losses_and_absent_scenes(slg, tmp_path):
     """Three scenes lose 0.03, 0.03 and 0, by 0.02 in the mean; mIoU, which falls, is no gate."""
 
     def leave(name, *ious, **columns):
@@ -50,7 +50,7 @@ def test_the_exit_status_of_a_comparison_gates_by_losses_and_absent_scenes(slg, 
             sample(s, iou=iou, height=9, width=9, **columns)
             for s, iou in zip("abc", ious, strict=False)
         ]
-        write_samples(rows, tmp_path / name)
+        write_samples(Rows.from_rows(rows), tmp_path / name)
         return tmp_path / name
 
     main = leave("main", 0.5, 0.6, 0.7, class_iou=0.9)

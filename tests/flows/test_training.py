@@ -67,7 +67,7 @@ def camera(x: float) -> Camera:
     return Camera(K, c2w, SIZE[1], SIZE[0])
 
 
-def lessons_of(folder: Path, seeds, holed: bool = False) -> pa.Table:
+def make_lessons(folder: Path, seeds, holed: bool = False) -> pa.Table:
     """Write lessons to the store of a folder, and their table to its ``corpus``."""
     store, rows = ArtifactStore(folder / "store"), []
     for seed in seeds:
@@ -106,8 +106,8 @@ def command(folder: Path, out: str = "out", *more: str) -> list[str]:
     return ["train", *map(str, arguments), *more]
 
 
-def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
-    table = lessons_of(tmp_path, range(12))
+def test_train_writes_all_files_and_reuses_results(tmp_path, slg):
+    table = make_lessons(tmp_path, range(12))
     status, _, errors = slg(*command(tmp_path, "out", *FEW))
     assert status == 0 and "branch  train  cached" not in errors
     files = files_below(tmp_path / "out")
@@ -139,10 +139,10 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
     assert files_below(tmp_path / "again") == files
 
 
-def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch):
+def test_train_command_resumes_to_the_same_bytes_after_a_kill(tmp_path, monkeypatch):
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()
-        lessons_of(tmp_path / name, range(6))
+        make_lessons(tmp_path / name, range(6))
     long = ("--steps", "44", "--set", "held_out=0.4")
     program = "import sys; from flows.cli.app import main; main()"
     argv = [sys.executable, "-c", program, *command(tmp_path / "killed", "out", *long)]
@@ -177,8 +177,8 @@ def count_steps(monkeypatch) -> list[int]:
     return steps
 
 
-def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, refusal):
-    lessons_of(tmp_path, range(6))
+def test_train_command_refuses_unusable_input(tmp_path, monkeypatch, refusal):
+    make_lessons(tmp_path, range(6))
     monkeypatch.chdir(tmp_path)
     for words, expected in (
         (("--store", "elsewhere"), "give the --store of `slgaussian supervise`"),
@@ -202,23 +202,23 @@ def bad_branch() -> bytes:
     return save_branch(branch)
 
 
-def test_only_better_weights_are_put_to_use(tmp_path):
+def test_retrain_promotes_better_weights_only(tmp_path):
     from flows.retraining import learn
 
     store, versions = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models")
     settings = retrain_settings(tmp_path)
-    outcome = learn(lessons_of(tmp_path, range(16)), settings, store)
+    outcome = learn(make_lessons(tmp_path, range(16)), settings, store)
     assert (
         outcome.version.number == 1 and not outcome.version.promoted and versions.current() is None
     )
     why = r"version 1 stored, not promoted: (no gain over|worse than) no network \((filled|hard)\)"
     assert re.match(why, outcome.message)
-    same = learn(lessons_of(tmp_path, range(16)), settings, store)
+    same = learn(make_lessons(tmp_path, range(16)), settings, store)
     assert same.version is None
     assert same.message == "nothing new since version 1; no version is in use"
 
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
-    outcome = learn(lessons_of(tmp_path, range(18)), settings, store)
+    outcome = learn(make_lessons(tmp_path, range(18)), settings, store)
     assert not outcome.version.promoted
     assert re.match(
         r"version 3 stored, not promoted: (no gain over|worse than) no network", outcome.message
@@ -226,7 +226,7 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert outcome.regressed.startswith("version 2, in use, is worse than no network (")
 
     settings = retrain_settings(tmp_path, steps=200, rate=0.02)
-    outcome = learn(lessons_of(tmp_path, range(18), holed=True), settings, store)
+    outcome = learn(make_lessons(tmp_path, range(18), holed=True), settings, store)
     assert (
         outcome.version.promoted and outcome.version.parent == bad.number and not outcome.regressed
     )
@@ -238,21 +238,21 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     scores = outcome.version.facts["scores"]["iou"]
     assert scores["branch"] > scores["before"]
     sides = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
-    learn(lessons_of(tmp_path, range(24)), retrain_settings(tmp_path, held_out=0.9), store)
+    learn(make_lessons(tmp_path, range(24)), retrain_settings(tmp_path, held_out=0.9), store)
     after = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
     assert sides.items() <= after.items() and len(after) == 24
-    assert not outcome.version.shares_split(versions.all()[-1])
+    assert not outcome.version.is_comparable_to(versions.all()[-1])
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
-def test_three_nights_promote_refuse_and_are_rolled_back(tmp_path, slg):
+def test_retrain_promotes_refuses_and_rolls_back(tmp_path, slg):
     """Lessons in which the branch can win; the second night trains too little to be better."""
     from flows.retraining import learn
 
     store, versions, nights = ArtifactStore(tmp_path / "store"), Versions(tmp_path / "models"), []
     for clips, steps in ((20, 30), (26, 2), (32, 200)):
         settings = retrain_settings(tmp_path, steps=steps, rate=0.02)
-        night = learn(lessons_of(tmp_path, range(clips), holed=True), settings, store)
+        night = learn(make_lessons(tmp_path, range(clips), holed=True), settings, store)
         nights.append(night.version)
     assert [night.promoted for night in nights] == [True, False, True]
     assert versions.current().number == 3
@@ -264,7 +264,7 @@ def test_three_nights_promote_refuse_and_are_rolled_back(tmp_path, slg):
         print(night.number, night.facts["counts"], night.facts["scores"]["iou"], night.why)
 
 
-def test_versions_are_listed_and_put_to_use(tmp_path, slg, refusal):
+def test_versions_command_lists_and_uses_versions(tmp_path, slg, refusal):
     versions = Versions(tmp_path / "models")
     for _ in range(2):
         versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, False, "too few clips")

@@ -27,7 +27,7 @@ def edge(mask: np.ndarray, width: int) -> np.ndarray:
     return grown & ~mask
 
 
-def test_band_along_the_outline_is_found_and_nothing_else():
+def test_boundary_gaussians_finds_the_band_along_an_outline():
     means, depth, mask = scene()
     band = edge(mask, 2)
     remaining = CAMERA.unproject(np.where(band, NEAR, depth)).reshape(-1, 3)
@@ -36,7 +36,7 @@ def test_band_along_the_outline_is_found_and_nothing_else():
     assert not boundary_gaussians(means, mask.ravel(), [CAMERA], [depth], [mask]).any()
 
 
-def test_supporting_floor_is_no_boundary():
+def test_boundary_gaussians_ignores_a_supporting_floor():
     means, depth, mask = scene(floor=True)
     boundary = boundary_gaussians(means, mask.ravel(), [CAMERA], [depth], [mask]).reshape(H, W)
     # At the corners, wall and floor are both near.

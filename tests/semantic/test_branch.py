@@ -29,7 +29,7 @@ from slgaussian.semantic.branch import (
 )
 from slgaussian.semantic.hard import HardIndex, fill_from_other_views
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.training import loss_of
+from slgaussian.semantic.training import compute_loss
 
 # Not imported: an error in the module must show here.
 REACH = 6.0
@@ -46,7 +46,7 @@ def perturbed_branch(architecture: Architecture = SMALL, seed: int = 3) -> Branc
     return branch.eval()
 
 
-def bank_of(ids: np.ndarray, dimension: int = 3) -> MemoryBank:
+def make_bank(ids: np.ndarray, dimension: int = 3) -> MemoryBank:
     codes = np.random.default_rng(1).random((len(ids), dimension)).astype(np.float32)
     n = len(ids)
     return MemoryBank(ids, codes, np.zeros((n, 2, 1), np.float32), np.zeros((n, 2), bool))
@@ -67,7 +67,7 @@ def reference_network(weights: dict[str, np.ndarray], codes: np.ndarray) -> np.n
     def correlate(image, kernel):
         return signal.correlate2d(image, kernel, "same")
 
-    def halved(image):
+    def halve(image):
         pads = [(0, 0), (0, image.shape[1] % 2), (0, image.shape[2] % 2)]
         quarters = np.pad(image, pads, constant_values=np.nan)
         quarters = [quarters[:, v::2, u::2] for v in (0, 1) for u in (0, 1)]
@@ -77,7 +77,7 @@ def reference_network(weights: dict[str, np.ndarray], codes: np.ndarray) -> np.n
     x = np.maximum(convolve(codes, "stem"), 0)
     for block in range(2):
         inner = np.maximum(convolve(x, f"down.{block}.one", 2), 0)
-        shortcut = convolve(halved(x), f"down.{block}.past")
+        shortcut = convolve(halve(x), f"down.{block}.past")
         x = np.maximum(shortcut + convolve(inner, f"down.{block}.two"), 0)
     # ... up-sampled to the original resolution, added to M, and an MLP to three numbers.
     coarse, (height, width) = convolve(x, "up"), codes.shape[1:]
@@ -92,7 +92,7 @@ def reference_network(weights: dict[str, np.ndarray], codes: np.ndarray) -> np.n
 
 
 @pytest.mark.parametrize("size", [(24, 32), (17, 5), (9, 14)])
-def test_network_matches_the_paper_in_float64(size):
+def test_branch_equals_the_paper_in_float64(size):
     branch = make_branch(SMALL, 3).double()
     codes = np.random.default_rng(0).random((2, *size, 3))
     with torch.no_grad():
@@ -103,7 +103,7 @@ def test_network_matches_the_paper_in_float64(size):
     assert (features[..., 3] == 1).all()
 
 
-def test_loss_is_the_mean_squared_error_over_all_pixels():
+def test_loss_equals_the_mean_squared_error():
     """Rendered codes against codes; unlabelled pixels are (0, 0, 0); no weight decay."""
     example = lesson()
     targets = example.targets.copy()
@@ -111,7 +111,7 @@ def test_loss_is_the_mean_squared_error_over_all_pixels():
     targets[1, 5:9, 3:8] = 9  # an object that no context view shows has a code as well
     example = replace(example, targets=targets)
     branch = make_branch(SMALL, 5)
-    loss = loss_of(branch, example, [0, 1], "grid", np.random.default_rng(2))
+    loss = compute_loss(branch, example, [0, 1], "grid", np.random.default_rng(2))
     maps = label_maps(np.concatenate([example.labels, targets]))
     codes = load_codes("grid")(maps, np.random.default_rng(2))
     bank = MemoryBank(maps.ids, codes, np.zeros((5, 2, 1), np.float32), np.zeros((5, 2), bool))
@@ -126,32 +126,32 @@ def test_loss_is_the_mean_squared_error_over_all_pixels():
     # What is rendered where the photograph of a target is transparent is no error.
     opaque = targets > 0
     partly = replace(example, opaque=opaque)
-    loss = loss_of(branch, partly, [0, 1], "grid", np.random.default_rng(2))
+    loss = compute_loss(branch, partly, [0, 1], "grid", np.random.default_rng(2))
     known = np.mean(np.square(errors) * opaque[..., None])
     assert known < np.mean(np.square(errors))
     assert float(loss.detach()) == pytest.approx(known, rel=1e-5)
     assert np.array_equal(Lesson.from_arrays(partly.to_arrays()).opaque, opaque)
 
 
-def test_weights_depend_on_the_seed_alone_and_the_global_generator_is_unused():
+def test_make_branch_depends_on_the_seed_only():
     state = torch.random.get_rng_state()
     first, same, different = (save_branch(make_branch(SMALL, seed)) for seed in (1, 1, 2))
     assert torch.equal(torch.random.get_rng_state(), state)
     assert first == same != different
 
 
-def test_stored_branch_lifts_as_before(tmp_path):
+def test_load_branch_restores_the_lifting(tmp_path):
     branch, example = perturbed_branch(), lesson()
     (tmp_path / "b.safetensors").write_bytes(save_branch(branch))
     maps = label_maps(example.labels)
-    bank = bank_of(maps.ids)
+    bank = make_bank(maps.ids)
     loaded = load_lifting("branch", weights=tmp_path / "b.safetensors")
     expected = BranchLifting(branch)(example.gaussians, maps, bank).features
     assert torch.equal(loaded(example.gaussians, maps, bank).features, expected)
     assert expected.shape == (len(example.gaussians), 4)
 
 
-def test_invalid_weights_are_refused(tmp_path):
+def test_load_branch_refuses_invalid_weights(tmp_path):
     with pytest.raises(InputError, match="no weights are given; train some"):
         load_lifting("branch")
     file, weights = tmp_path / "b.safetensors", save_branch(perturbed_branch())
@@ -173,7 +173,7 @@ def test_invalid_weights_are_refused(tmp_path):
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3))
-def test_filled_labels_match_a_search_over_all_distances(seed, views):
+def test_fill_from_other_views_equals_a_full_search(seed, views):
     rng = np.random.default_rng(seed)
     shape, n = (views, 4, 5), rng.integers(0, 40)
     gaussians = Gaussians(
@@ -199,11 +199,11 @@ def test_filled_labels_match_a_search_over_all_distances(seed, views):
     np.testing.assert_array_equal(labels, before)
 
 
-def test_unlabelled_pixels_are_filled_from_the_other_view():
+def test_filled_lifting_labels_pixels_from_the_other_view():
     example = lesson()
     gaussians, labels = example.gaussians, example.labels.copy()
     labels[0, 5:9, 10:20] = 0
-    maps, bank = label_maps(labels), bank_of(np.unique(example.labels))
+    maps, bank = label_maps(labels), make_bank(np.unique(example.labels))
     complete, incomplete = (
         HardIndex()(gaussians, m, bank).features for m in (label_maps(example.labels), maps)
     )
@@ -216,7 +216,7 @@ def test_unlabelled_pixels_are_filled_from_the_other_view():
     assert torch.equal(unfilled, HardIndex()(one_view, maps, bank).features)
 
 
-def test_bytes_do_not_depend_on_the_thread_count():
+def test_branch_lifting_gives_equal_bytes_on_any_number_of_threads():
     example, before = lesson(size=(64, 64)), torch.get_num_threads()
     maps = label_maps(example.labels)
     lifting = BranchLifting(perturbed_branch(Architecture()))
@@ -224,7 +224,7 @@ def test_bytes_do_not_depend_on_the_thread_count():
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            features.append(lifting(example.gaussians, maps, bank_of(maps.ids)).features)
+            features.append(lifting(example.gaussians, maps, make_bank(maps.ids)).features)
     finally:
         torch.set_num_threads(before)
     assert torch.equal(*features)

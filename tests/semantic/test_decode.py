@@ -88,7 +88,7 @@ def borders(seed: int, n: int, size=(40, 30)) -> tuple[np.ndarray, MemoryBank]:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40))
-def test_decoder_matches_the_float64_reference(seed, n):
+def test_decoder_equals_the_float64_reference(seed, n):
     """Ids are equal; confidence agrees to float32 rounding, measured 1.2e-7."""
     features, codes = borders(seed, n)
     ids, confidence = Decoder(codes)(features)
@@ -100,7 +100,7 @@ def test_decoder_matches_the_float64_reference(seed, n):
     assert (confidence[ids == 0] == 0).all()
 
 
-def test_mixture_of_two_objects_is_not_decoded_as_a_third():
+def test_decoder_assigns_no_third_object_to_a_mixture():
     """Code 2 lies between codes 0 and 1, nearest to their mixtures."""
     share = np.array([0, 0, 0, 0.3, 0.7, 1, 1, 1])[None, :, None].repeat(3, 0)
     mixed = image((1 - share) * CODES[0] + share * CODES[1])
@@ -111,7 +111,7 @@ def test_mixture_of_two_objects_is_not_decoded_as_a_third():
 
 
 @pytest.mark.parametrize("decoder", [Decoder, NearestCode])
-def test_nan_and_wrong_dimensions_are_refused(decoder):
+def test_decoder_refuses_nan_and_wrong_shapes(decoder):
     empty = decoder(bank(np.zeros((0, 3), np.float32)))
     assert not any(array.any() for array in empty(image(np.zeros((2, 2, 3)))))
     features = image(CODES[np.zeros((70, 5), int)])
@@ -123,7 +123,7 @@ def test_nan_and_wrong_dimensions_are_refused(decoder):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_paper_decoder_takes_the_code_nearest_to_the_rendered_one(seed):
+def test_nearest_code_decodes_each_pixel_by_itself(seed):
     features, bank = borders(seed, 20)
     features[5:10, 5:10] *= 0.7
     ids, confidence = NearestCode(bank)(features)
@@ -141,7 +141,7 @@ def test_paper_decoder_takes_the_code_nearest_to_the_rendered_one(seed):
         assert confidence[pixel] == pytest.approx(lead, abs=1e-6)
 
 
-def test_decoder_is_chosen_by_the_settings_of_codes():
+def test_decoder_depends_on_the_settings_of_codes():
     assert isinstance(decoder_of(bank(), {"codes": "separated"}), Decoder)
     assert isinstance(decoder_of(bank(), {"codes": "grid", "grid": {}}), Decoder)
     paper = {"codes": "grid", "grid": {"decode": "nearest"}}

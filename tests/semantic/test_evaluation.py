@@ -13,7 +13,7 @@ from slgaussian.semantic.hard import HardIndex
 HARD = {"hard": HardIndex()}
 
 
-def test_true_labels_score_near_one_and_an_untrained_branch_lower():
+def test_label_iou_is_near_one_for_true_labels():
     # Below 1, since Gaussians are 0.6 pixels wide and objects some ten. Measured 0.92.
     liftings = {**HARD, "branch": BranchLifting(make_branch(Architecture(widths=(4, 8), hidden=8)))}
     scores = label_iou(lesson(), liftings)
@@ -21,7 +21,7 @@ def test_true_labels_score_near_one_and_an_untrained_branch_lower():
     assert scores["branch"] < scores["hard"] and label_iou(lesson(), liftings) == scores
 
 
-def test_missing_object_scores_zero():
+def test_label_iou_of_a_missing_object_is_zero():
     def lossy(gaussians, label_maps, bank):
         labels = np.where(label_maps.labels == 4, 0, label_maps.labels)
         return HardIndex()(gaussians, replace(label_maps, labels=labels), bank)
@@ -30,7 +30,7 @@ def test_missing_object_scores_zero():
     assert scores["lossy"] == pytest.approx(scores["hard"] * 3 / 4, abs=0.05)
 
 
-def test_unlabelled_pixels_and_objects_without_context_are_not_scored():
+def test_label_iou_ignores_unlabelled_pixels():
     example = lesson()
     targets = example.targets.copy()
     targets[targets == 4] = 0

@@ -12,7 +12,7 @@ from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.store import ArtifactStore
 
 
-def test_stored_lesson_is_restored(tmp_path):
+def test_lesson_survives_storage(tmp_path):
     stored = lesson()
     first, second = stored.cameras
     cameras = (replace(first, near=0.5), replace(second, near=0.5, far=20.0))
@@ -40,6 +40,6 @@ def test_stored_lesson_is_restored(tmp_path):
         ({"labels": np.zeros((1, *SIZE), np.int32)}, "pixels 0 to 767"),
     ],
 )
-def test_inconsistent_lesson_is_refused_by_sample_name(changes, message):
+def test_lesson_refuses_inconsistent_arrays_by_name(changes, message):
     with pytest.raises(InputError, match=f"lesson 'wall 0': found .*{message}"):
         replace(lesson(), **changes)

@@ -26,7 +26,7 @@ def novel_views():
     return target.instances, views
 
 
-def test_few_pixels_are_wrong_and_their_confidence_is_lower(novel_views):
+def test_novel_views_have_few_wrong_pixels_of_low_confidence(novel_views):
     """Measured: 2.7 % wrong without codes, 0.1 and 0.3 % more with codes; probability 0.97."""
     truth, views = novel_views
     for view in views.values():

@@ -16,7 +16,7 @@ from train_and_die import LESSONS, SETTINGS
 from slgaussian.errors import InputError
 from slgaussian.semantic.branch import Architecture, make_branch, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT
-from slgaussian.semantic.training import draw_batch, loss_of, train
+from slgaussian.semantic.training import compute_loss, draw_batch, train
 from slgaussian.storage.specs import load_spec
 from tests.kernel_threads import kernels_on
 
@@ -35,13 +35,13 @@ def _alone():
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory) -> Path:
+def full_training(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     train(LESSONS, SETTINGS, folder)
     return folder
 
 
-def test_it_learns_and_its_metrics_say_so(tmp_path):
+def test_train_lowers_the_loss(tmp_path):
     settings = SETTINGS.model_copy(update={"steps": 36, "every": 36, "rate": 1e-2})
     trained = train(LESSONS, settings, tmp_path)
     load_spec("metrics").check_table(trained.metrics, "metrics")
@@ -55,7 +55,7 @@ def test_it_learns_and_its_metrics_say_so(tmp_path):
 
 
 @pytest.mark.parametrize("step", [2, 7])
-def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, uninterrupted, step):
+def test_train_resumes_to_the_same_bytes_after_a_kill(tmp_path, full_training, step):
     script = Path(__file__).with_name("train_and_die.py")
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (script.parent, ROOT)))}
     killed = subprocess.run([sys.executable, script, tmp_path, str(step)], env=env, check=False)
@@ -64,10 +64,10 @@ def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, uninterrupted, st
     steps = []
     train(LESSONS, SETTINGS, tmp_path, progress=lambda p: steps.append(p.step))
     assert steps[0] == step // SETTINGS.every * SETTINGS.every + 1
-    assert bytes_in(tmp_path) == bytes_in(uninterrupted)
+    assert bytes_in(tmp_path) == bytes_in(full_training)
 
 
-def test_bytes_do_not_depend_on_the_thread_count(tmp_path, uninterrupted):
+def test_train_gives_equal_bytes_on_any_number_of_threads(tmp_path, full_training):
     before = torch.get_num_threads()
     try:
         for threads in (1, 2):
@@ -76,18 +76,18 @@ def test_bytes_do_not_depend_on_the_thread_count(tmp_path, uninterrupted):
             with kernels_on(threads):
                 train(LESSONS, SETTINGS, folder)
             assert torch.get_num_threads() == threads
-            assert bytes_in(folder) == bytes_in(uninterrupted)
+            assert bytes_in(folder) == bytes_in(full_training)
     finally:
         torch.set_num_threads(before)
 
 
-def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
+def test_train_averages_a_batch(tmp_path):
     """One step of a batch of all lessons is one along the mean of the gradients of each."""
     settings = SETTINGS.model_copy(update={"steps": 1, "batch": len(LESSONS), "every": 1})
     branch = make_branch(settings.architecture, 4)
     losses = []
     for drawn in draw_batch(LESSONS, settings, 0):
-        losses.append(loss_of(branch, drawn.lesson, drawn.views, settings.codes, drawn.rng))
+        losses.append(compute_loss(branch, drawn.lesson, drawn.views, settings.codes, drawn.rng))
     gradients = torch.autograd.grad(sum(losses) / len(losses), list(branch.parameters()))
     length = torch.cat([gradient.ravel() for gradient in gradients]).norm()
     trained = train(LESSONS, settings, tmp_path, branch)
@@ -97,7 +97,7 @@ def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
     assert sorted(row["sample"].split(", ")) == [f"wall {k}" for k in range(3)]
 
 
-def test_it_begins_from_given_weights(tmp_path):
+def test_train_starts_from_given_weights(tmp_path):
     start = make_branch(SETTINGS.architecture, 9)
     settings = SETTINGS.model_copy(update={"steps": 1, "rate": 1e-12})
     trained = train(LESSONS, settings, tmp_path / "a", start)
@@ -121,17 +121,17 @@ def test_it_begins_from_given_weights(tmp_path):
         (LESSONS, {"device": ""}, None, "training device: found ''"),
     ],
 )
-def test_what_cannot_be_trained_is_refused(uninterrupted, lessons, change, start, sentence):
-    before = bytes_in(uninterrupted)
+def test_train_refuses_unusable_input(full_training, lessons, change, start, sentence):
+    before = bytes_in(full_training)
     with pytest.raises(InputError, match=sentence):
-        train(lessons, SETTINGS.model_copy(update=change), uninterrupted, start)
-    assert bytes_in(uninterrupted) == before
+        train(lessons, SETTINGS.model_copy(update=change), full_training, start)
+    assert bytes_in(full_training) == before
     with pytest.raises(InputError, match="cannot be made"):
-        train(LESSONS, SETTINGS, uninterrupted / CHECKPOINT / "under")
+        train(LESSONS, SETTINGS, full_training / CHECKPOINT / "under")
 
 
-def test_damaged_checkpoints_are_refused(tmp_path, uninterrupted):
-    state = torch.load(uninterrupted / CHECKPOINT)
+def test_train_refuses_damaged_checkpoints(tmp_path, full_training):
+    state = torch.load(full_training / CHECKPOINT)
     moments = {**state["optimiser"], "state": {0: {"exp_avg": torch.zeros(5)}}}
     for damaged in ({"run": 1}, {"branch": {}}, {"optimiser": moments}, {"metrics": b""}):
         torch.save({**state, **damaged}, tmp_path / CHECKPOINT)
@@ -142,7 +142,7 @@ def test_damaged_checkpoints_are_refused(tmp_path, uninterrupted):
         train(LESSONS, SETTINGS, tmp_path)
 
 
-def test_a_loss_that_is_no_number_stops_with_the_sample_named(tmp_path):
+def test_train_stops_at_an_infinite_loss_and_names_the_sample(tmp_path):
     bad = lesson(7)
     start = make_branch(SETTINGS.architecture)
     start.first.weight.data[0] = torch.nan
@@ -151,7 +151,7 @@ def test_a_loss_that_is_no_number_stops_with_the_sample_named(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_lesson_without_objects_has_no_loss(tmp_path):
+def test_train_ignores_a_lesson_without_objects(tmp_path):
     mine = lesson()
     nothing = replace(mine, labels=np.zeros_like(mine.labels), targets=np.zeros_like(mine.targets))
     trained = train([nothing], SETTINGS, tmp_path)

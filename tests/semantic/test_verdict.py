@@ -8,7 +8,7 @@ from slgaussian.benchmark.statistics import MIN_SAMPLES
 from slgaussian.storage.specs import load_spec
 
 
-def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):
+def make_judgements(scores: dict[str, list[float | None]], clips: list[str], kinds=("as found",)):
     rows = [
         {"sample": f"s{k}", "clip": clip, "labels": kind, "lifting": name, "iou": values[k]}
         for k, clip in enumerate(clips)
@@ -18,34 +18,35 @@ def judged(scores: dict[str, list[float | None]], clips: list[str], kinds=("as f
     return pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
 
 
-def test_a_clip_counts_once_however_many_lessons_it_has():
-    table = judged({"branch": [0.9, 0.7, 0.4], "hard": [0.5, 0.5, 0.5]}, ["a", "a", "b"])
+def test_clip_scores_weight_clips_equally():
+    table = make_judgements({"branch": [0.9, 0.7, 0.4], "hard": [0.5, 0.5, 0.5]}, ["a", "a", "b"])
     assert clip_scores(table)["branch"] == pytest.approx([0.8, 0.4])
     comparison = gain(table, "hard")
     assert comparison.samples == 2 and comparison.difference == pytest.approx(0.1)
 
 
-def test_a_gain_within_noise_is_none():
+def test_gate_rejects_a_gain_within_noise():
     """Weights are promoted only if the complete interval of the gain is above 0."""
     noise = [0.03, -0.03, 0.02, -0.02, 0.025, -0.025, 0.01, -0.01]  # standard error 0.0075
     verdicts = {}
     for step in (0.005, 0.01, 0.03):
         scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
-        table = judged(scores, list("abcdefgh"))
+        table = make_judgements(scores, list("abcdefgh"))
         verdict, comparison = gate(table, {"hard": "no branch"}), gain(table, "hard")
         assert comparison.difference > 0 and verdict.better == (comparison.low > 0)
         verdicts[step] = verdict
     assert [verdict.better for verdict in verdicts.values()] == [False, False, True]
-    assert verdicts[0.01].why.startswith("no gain over no branch beyond noise: +0.0100 IoU (-0.00")
-
-
-def test_few_clips_never_are_enough():
-    five_clips, enough = (
-        gate(judged({"branch": [0.9] * n, "hard": [0.1] * n}, list("abcdefgh"[:n])), {"hard": "it"})
-        for n in (MIN_SAMPLES - 1, MIN_SAMPLES)
+    assert verdicts[0.01].reason.startswith(
+        "no gain over no branch beyond noise: +0.0100 IoU (-0.00"
     )
-    assert not five_clips.better and five_clips.why.startswith("too few clips to tell it from it")
-    assert enough.better
+
+
+@pytest.mark.parametrize("count", [MIN_SAMPLES - 1, MIN_SAMPLES])
+def test_gate_needs_enough_clips(count):
+    scores = {"branch": [0.9] * count, "hard": [0.1] * count}
+    verdict = gate(make_judgements(scores, list("abcdefgh"[:count])), {"hard": "it"})
+    assert verdict.better == (count == MIN_SAMPLES)
+    assert verdict.better or verdict.reason.startswith("too few clips to tell it from it")
 
 
 NOISE = [0.01, -0.01, 0.008, -0.008, 0.011, -0.011, 0.003, -0.003]
@@ -58,7 +59,7 @@ def with_means(**means: float) -> pa.Table:
         name: [mean + noise for noise in NOISE[shift:] + NOISE[:shift]]
         for shift, (name, mean) in enumerate(means.items())
     }
-    return judged(scores, list("abcdefgh"))
+    return make_judgements(scores, list("abcdefgh"))
 
 
 @pytest.mark.parametrize(
@@ -71,13 +72,13 @@ def with_means(**means: float) -> pa.Table:
         (0.54, 0.5, 0.51, True, "better than version 1: +0.04"),
     ],
 )
-def test_the_gate_asks_for_more_than_the_best_of_all(before, hard, filled, better, why):
+def test_gate_compares_with_the_best_rival(before, hard, filled, better, why):
     verdict = gate(with_means(branch=0.58, before=before, hard=hard, filled=filled), RIVALS)
-    assert verdict.better == better and verdict.why.startswith(why)
-    assert verdict.why.endswith("; and than hard and filled") == better
+    assert verdict.better == better and verdict.reason.startswith(why)
+    assert verdict.reason.endswith("; and than hard and filled") == better
 
 
-def test_what_is_in_use_is_worse_than_no_network_only_beyond_noise():
+def test_regression_needs_a_significant_loss():
     rivals = {"hard": "hard", "filled": "filled"}
     reason = regression(
         with_means(branch=0.5, before=0.55, hard=0.5, filled=0.6), rivals, "version 1"
@@ -85,5 +86,5 @@ def test_what_is_in_use_is_worse_than_no_network_only_beyond_noise():
     assert reason.startswith("version 1, in use, is worse than filled: -0.05")
     assert not regression(with_means(branch=0.5, before=0.6, hard=0.5, filled=0.601), rivals, "1")
     assert not regression(with_means(branch=0.5, hard=0.6, filled=0.6), rivals, "version 1")
-    five_clips = judged({"before": [0.1] * 5, "hard": [0.9] * 5}, list("abcde"))
+    five_clips = make_judgements({"before": [0.1] * 5, "hard": [0.9] * 5}, list("abcde"))
     assert not regression(five_clips, rivals, "version 1")

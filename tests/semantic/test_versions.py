@@ -17,7 +17,7 @@ def versions(tmp_path):
     return Versions(tmp_path / "models")
 
 
-def test_the_way_of_three_versions(versions):
+def test_versions_keep_all_and_use_one(versions):
     assert versions.current() is None and versions.all() == []
     first = versions.add(b"one", {"iou": 0.5}, True, "the first")
     second = versions.add(b"two", {"iou": 0.6}, True, "better by 0.1", first)
@@ -33,7 +33,7 @@ def test_the_way_of_three_versions(versions):
     assert len(versions.all()) == 3
 
 
-def test_what_was_not_compared_with_what_is_in_use_does_not_replace_it(versions):
+def test_add_promotes_only_over_the_version_it_was_compared_with(versions):
     """Another version is promoted while a candidate is trained."""
     first = versions.add(b"one", {}, True, "the first")
     versions.use(None)
@@ -43,14 +43,14 @@ def test_what_was_not_compared_with_what_is_in_use_does_not_replace_it(versions)
     assert versions.all() == [first, late]
 
 
-def test_a_history_of_earlier_releases_is_read_over(versions):
+def test_current_ignores_a_history_of_earlier_releases(versions):
     first = versions.add(b"one", {}, True, "the first")
     change = '{"when": "", "version": 1, "before": 0, "by": "ada", "why": ""}'
     (versions.folder / "current.json").write_text(f'{{"version": 1, "history": [{change}]}}')
     assert versions.current() == first
 
 
-def test_a_failed_write_leaves_what_is_in_use(versions, monkeypatch):
+def test_add_keeps_the_version_in_use_after_a_failure(versions, monkeypatch):
     first = versions.add(b"one", {}, True, "the first")
     replace = os.replace
 
@@ -67,7 +67,7 @@ def test_a_failed_write_leaves_what_is_in_use(versions, monkeypatch):
     assert versions.add(b"two", {}, True, "better", first).number == 2
 
 
-def test_damage_is_one_sentence(versions):
+def test_versions_name_damaged_files(versions):
     first = versions.add(b"one", {}, True, "the first")
     second = versions.add(b"two", {}, False, "the second")
     versions.weights(first).write_bytes(b"other")
@@ -100,7 +100,7 @@ def _add(folder, number):
     )
 
 
-def test_two_at_the_same_time_get_different_numbers(tmp_path):
+def test_add_numbers_concurrent_versions(tmp_path):
     # Not forked: after other tests this process has threads, which forks do not survive.
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=_add, args=(tmp_path, n)) for n in range(4)]

@@ -111,11 +111,6 @@ ROWS |= {name: Row(name, "of another package") for name in plugins(GROUP) if nam
 """All methods, in the order of the table."""
 
 
-def is_swept(name: str) -> bool:
-    """Tell whether a method is the field built with other settings, by its name FIELD=VALUE."""
-    return name not in ROWS and "=" in name
-
-
 def is_variant(name: str) -> bool:
-    """Tell whether a method is the field with a component or a setting changed."""
-    return ROWS[name].variant if name in ROWS else is_swept(name)
+    """Tell whether a method is the field with a component, or with settings FIELD=VALUE changed."""
+    return ROWS[name].variant if name in ROWS else "=" in name

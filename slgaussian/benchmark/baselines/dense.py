@@ -134,12 +134,12 @@ class DenseResult:
     @property
     def score(self) -> float:
         """Return the largest relevancy; 0 if no pixel is known."""
-        return float(self._filled[self.seen].max(initial=0.0))
+        return float(self._dense_relevancy[self.seen].max(initial=0.0))
 
     @cached_property
     def relevancy(self) -> np.ndarray:
         """Return the relevancy, float32 [H, W] in [0, 1]; 0 where unknown."""
-        return np.where(self.seen, self._filled, 0).astype(np.float32)
+        return np.where(self.seen, self._dense_relevancy, 0).astype(np.float32)
 
     @cached_property
     def mask(self) -> np.ndarray:
@@ -158,11 +158,11 @@ class DenseResult:
         if not self.seen.any():
             return None
         side = langsplat.rescaled_filter(self.seen.shape[1])
-        smooth = np.where(self.seen, langsplat.smoothed(self._filled, side), -1)
+        smooth = np.where(self.seen, langsplat.smoothed(self._dense_relevancy, side), -1)
         return central_point(smooth == smooth.max())
 
     @cached_property
-    def _filled(self) -> np.ndarray:
+    def _dense_relevancy(self) -> np.ndarray:
         """Return the relevancy float64 [H, W], with the minimum at unknown pixels, so that holes do
         not stretch the range."""
         relevancy = expit(self.rules.temperature * self.gap)

@@ -47,10 +47,10 @@ class NoBank:
 
     def __call__(self, inputs: Inputs) -> SemanticField:
         """Return the field with a memory bank of one view."""
-        return inputs.field.changed(bank=pooled(inputs.bank))
+        return inputs.field.changed(bank=pool_views(inputs.bank))
 
 
-def pooled(bank: MemoryBank) -> MemoryBank:
+def pool_views(bank: MemoryBank) -> MemoryBank:
     """Return the bank with one view, the mean of all, also for groups of objects."""
     groups = bank.group_features
     return replace(

@@ -20,7 +20,7 @@ from slgaussian.benchmark.reports.score_tables import (
     method_tables,
     scores_of,
 )
-from slgaussian.benchmark.scores import differences, grouped, sample_key
+from slgaussian.benchmark.scores import Difference, Rows, differences, sample_key
 from slgaussian.errors import InputError
 from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
@@ -41,13 +41,13 @@ class Run:
     """Samples of a run, and its manifest, which may be empty."""
 
     folder: Path
-    rows: list[Row]
+    rows: Rows
     manifest: Mapping[str, Any]
 
     @property
-    def by_method(self) -> dict[str, list[Row]]:
+    def by_method(self) -> dict[str, Rows]:
         """Return the samples of each method, ours first."""
-        return {method: rows for (method,), rows in grouped(self.rows, "method").items()}
+        return {name: self.rows.where(method=name) for name in self.rows.values("method")}
 
 
 def read_run(folder: str | Path) -> Run:
@@ -70,11 +70,18 @@ def read_run(folder: str | Path) -> Run:
     if not isinstance(manifest, dict):
         raise InputError(f"{manifest_file}: found no JSON object; run the benchmark again")
     samples = decode_table(data, load_spec("samples"), str(file), "run it again")
-    return Run(folder, samples.to_pylist(), manifest)
+    return Run(folder, Rows(samples), manifest)
 
 
-def compare_runs(runs: Sequence[Run]) -> model.Report:
+def compare_runs(runs: Sequence[Run]) -> tuple[model.Report, list[dict[str, Any]]]:
     """Compare each run with the first, and rank their methods.
+
+    Returns:
+        The report, and the scores of each later run minus the first on common samples, as plain
+        data. A row has the ``run``, ``method``, ``dataset``, ``protocol`` and ``metric``; the mean
+        ``difference`` over the ``scenes``, with its interval, ``low`` to ``high``, None for a
+        single place; and whether it ``decides``: it is of the first score of the first protocol of
+        the data.
 
     Raises:
         InputError: If there are fewer than 2 or more than 26 runs, or one is given twice.
@@ -93,58 +100,46 @@ def compare_runs(runs: Sequence[Run]) -> model.Report:
     manifests = {letter: run.manifest for letter, run in named.items() if run.manifest}
     block: model.Block = model.Prose("No known difference in settings, versions or data.")
     if settings := differing_settings(list(manifests.values())):
-        block = model.Table(
-            [model.Column(n, is_text=True) for n in ("Setting", *manifests)], settings
-        )
+        heads = [model.Column(name, is_text=True) for name in ("Setting", *manifests)]
+        block = model.Table(heads, settings)
     sections.append(model.Section("Configuration", [block]))
     if tables := rank_methods(named):
         sections.append(model.Section("Scores", fold_protocols(tables)))
     (base, first), *later = named.items()
-    pairs = {
-        f"{name}, {letter}" if later[1:] else name: (rows, baseline)
-        for letter, run in later
-        for name, baseline, rows in _pair_methods(first, run)
-    }
-    if tables := difference_tables(pairs):
+    rows, compared = [], dict[str, list[Difference]]()
+    for letter, run in later:
+        for method, baseline, samples in _pair_methods(first, run):
+            found = differences(samples, baseline)
+            compared[f"{method}, {letter}" if later[1:] else method] = found
+            rows += [{"run": str(run.folder), "method": method, **row} for row in _as_rows(found)]
+    if tables := difference_tables(compared):
         title = f"Differences: {'each run' if later[1:] else later[0][0]} minus {base}"
         sections.append(model.Section(title, fold_protocols(tables)))
-    return model.Report("Comparison of runs", [model.Prose(SUMMARY)], sections)
+    return model.Report("Comparison of runs", [model.Prose(SUMMARY)], sections), rows
 
 
-def list_differences(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Return the scores of each later run minus the first on common samples, as plain data.
-
-    A row has the ``run``, ``method``, ``dataset``, ``protocol`` and ``metric``; the mean
-    ``difference`` over the ``scenes``, with its interval, ``low`` to ``high``, None for a single
-    place; and whether it ``decides``: it is of the first score of the first protocol of the data.
-    """
-    first, *later = runs
-    rows = []
-    for run in later:
-        for method, baseline, samples in _pair_methods(first, run):
-            ranking: dict[str, tuple[str, str]] = {}
-            for d in differences(samples, baseline):
-                first_score = d.protocol, scores_of(d.protocol)[0].metric
-                decides = ranking.setdefault(d.dataset, first_score) == (d.protocol, d.metric)
-                is_one_place = d.gain.independent_samples < 2
-                row: dict[str, Any] = {"run": str(run.folder), "method": method}
-                row |= {name: getattr(d, name) for name in ("dataset", "protocol", "metric")}
-                row |= {"decides": decides, "difference": d.gain.difference}
-                row |= {n: None if is_one_place else getattr(d.gain, n) for n in ("low", "high")}
-                rows.append({**row, "scenes": d.gain.samples, "samples": d.samples})
-    return rows
+def _as_rows(compared: Sequence[Difference]) -> Iterator[dict[str, Any]]:
+    ranking: dict[str, tuple[str, str]] = {}
+    for d in compared:
+        first_score = d.protocol, scores_of(d.protocol)[0].metric
+        row: dict[str, Any] = {n: getattr(d, n) for n in ("dataset", "protocol", "metric")}
+        row["decides"] = ranking.setdefault(d.dataset, first_score) == (d.protocol, d.metric)
+        row["difference"] = d.gain.difference
+        has_interval = d.gain.independent_samples > 1
+        row |= {n: getattr(d.gain, n) if has_interval else None for n in ("low", "high")}
+        yield {**row, "scenes": d.gain.samples, "samples": d.samples}
 
 
-def list_losses(runs: Sequence[Run], rows: Sequence[Row], most: float) -> list[str]:
-    """Describe what later runs lost: scenes of the first, or more than ``most`` of a score.
+def list_losses(runs: Sequence[Run], rows: Sequence[Row], tolerance: float) -> list[str]:
+    """Describe what later runs lost: scenes of the first, or more than ``tolerance`` of a score.
 
-    ``rows`` are the :func:`list_differences` of the runs; those that decide count.
+    ``rows`` are those of :func:`compare_runs`; those that decide count.
 
     Raises:
         InputError: If none decides for a run, as it has no scored query in common with the first.
     """
     first, *later = runs
-    expected = {row["scene"] for row in first.rows}
+    expected = set(first.rows.values("scene"))
     lost = []
     for run in later:
         deciding = [row for row in rows if row["decides"] and row["run"] == str(run.folder)]
@@ -153,11 +148,11 @@ def list_losses(runs: Sequence[Run], rows: Sequence[Row], most: float) -> list[s
                 f"compare: {run.folder} has no scored query in common with {first.folder}, so "
                 "nothing is checked; give runs of the same scenes, queries and size"
             )
-        if absent := sorted(expected - {row["scene"] for row in run.rows}):
+        if absent := sorted(expected - set(run.rows.values("scene"))):
             names = ", ".join(absent[:MAX_LISTED])
             lost.append(f"{run.folder}: lacks {len(absent)} of {len(expected)} scenes, as {names}")
         for row in deciding:
-            if row["difference"] < -most:
+            if row["difference"] < -tolerance:
                 loss = f"lost {-row['difference']:.4f} {row['metric']} on {row['dataset']}"
                 lost.append(f"{run.folder}: {row['method']} {loss} ({_describe(row)})")
     return lost
@@ -180,7 +175,7 @@ def _runs_table(named: Mapping[str, Run]) -> model.Table:
             theirs = {sample_key(row): row for row in baseline}
             pairs += [(row, theirs[key]) for row in mine if (key := sample_key(row)) in theirs]
         changed = sum({**a, "method": ""} != {**b, "method": ""} for a, b in pairs)
-        scenes = len({row["scene"] for row in run.rows})
+        scenes = len(run.rows.values("scene"))
         counts = (scenes, len(run.by_method), len(run.rows), len(pairs), changed)
         rows.append([letter, str(run.folder), *map(str, counts)])
     folder = model.Column("Folder", is_text=True)
@@ -188,7 +183,7 @@ def _runs_table(named: Mapping[str, Run]) -> model.Table:
     return model.Table(heads, rows)
 
 
-def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
+def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, Rows, Rows]]:
     """Pair the samples of each common method; without one, those of their first methods."""
     earlier, later = first.by_method, second.by_method
     shared = [name for name in earlier if name in later]
@@ -227,10 +222,10 @@ def rank_methods(named: Mapping[str, Run]) -> list[model.Table]:
     For each data set, only runs that contain it are used. A scene is used if its ground truth is
     equal, as far as the manifests record it.
     """
-    by_dataset: dict[str, dict[str, list[Row]]] = {}
+    by_dataset: dict[str, dict[str, Rows]] = {}
     for letter, run in named.items():
-        for (dataset,), rows in grouped(run.rows, "dataset").items():
-            by_dataset.setdefault(dataset, {})[letter] = rows
+        for dataset in run.rows.values("dataset"):
+            by_dataset.setdefault(dataset, {})[letter] = run.rows.where(dataset=dataset)
     common: list[Row] = []
     for by_run in by_dataset.values():
         truths: dict[str, set[str]] = {}
@@ -244,4 +239,4 @@ def rank_methods(named: Mapping[str, Run]) -> list[model.Table]:
             for row in rows
             if sample_key(row) in shared and len(truths.get(row["scene"], ())) < 2
         ]
-    return method_tables(common)
+    return method_tables(Rows.from_rows(common))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from slgaussian.benchmark import pictures
 from slgaussian.benchmark.evaluate import RENDERED_VIEWPOINTS
 from slgaussian.benchmark.reports.model import Block, Card, Fold, Gallery, Picture, Section
-from slgaussian.benchmark.scores import GOOD_IOU, grouped, key_of
+from slgaussian.benchmark.scores import GOOD_IOU, Rows, group_rows
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
@@ -46,13 +47,12 @@ VIEW_PICTURES = {
 class Scene:
     """One scene of a report; pictures and masks are read on demand, one scene at a time.
 
-    ``rows`` are of the spec ``samples``, our method first; ``metrics``, ``pictures`` and ``masks``
-    (by protocol, frame and query) are of our result, ``truth`` are labelled masks.
+    ``metrics``, ``pictures`` and ``masks`` (by protocol, frame and query) are of our result,
+    ``truth`` are labelled masks.
     """
 
     name: str
     dataset: str
-    rows: Sequence[Row]
     metrics: Mapping[str, float]
     pictures: Callable[[], Images]
     truth: Callable[[], Mapping[str, Images]]
@@ -79,7 +79,7 @@ def answer_card(row: Row, images: Images, lost_by: str = "") -> Card:
         chips.append((f"lost by {lost_by}", "lost"))
     name = f"{row['frame']}/{query}"
     panels = [
-        Picture.of(images[f"{kind}/{name}"], ANSWER_WIDTH, caption, f"{caption} of {query}")
+        Picture.encode(images[f"{kind}/{name}"], ANSWER_WIDTH, caption, f"{caption} of {query}")
         for kind, caption in (("mask", "prediction"), ("relevancy", "relevancy"))
     ]
     place = f"{row['scene']}, {row['frame']}"
@@ -97,7 +97,7 @@ def example_section(scene: Scene, rows: Sequence[Row], images: Images) -> Sectio
     drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
     scored = [row for row in drawn if row["iou"] is not None]
     # The frame with most scored answers, else most answers.
-    if answers := max(grouped(scored or drawn, "frame").values(), key=len, default=[]):
+    if answers := max(group_rows(scored or drawn, "frame").values(), key=len, default=[]):
         frame, is_scored = answers[0]["frame"], answers[0]["iou"] is not None
         ground = images.get(f"photo/{frame}", images[f"render/{frame}"])
         masks, truth = scene.masks(), scene.truth().get(frame, {})
@@ -106,7 +106,7 @@ def example_section(scene: Scene, rows: Sequence[Row], images: Images) -> Sectio
         predicted = {q: masks.get((row["protocol"], frame, q)) for q, row in named.items()}
         caption = f"predicted masks in {frame}" + ", with IoU" * is_scored
         picture = _draw_masks(ground, captions, predicted)
-        blocks.append(Gallery([Picture.of(picture, CAPTIONED_WIDTH, caption)], "main"))
+        blocks.append(Gallery([Picture.encode(picture, CAPTIONED_WIDTH, caption)], "main"))
         small |= {f"rendered {frame}": images[f"render/{frame}"]}
         if any(truth[query].any() for query in named if query in truth):
             small["ground truth"] = _draw_masks(ground, {query: query for query in named}, truth)
@@ -135,7 +135,7 @@ def scene_fold(scene: Scene, id: str, images: Images) -> Fold:
 
 def _gallery(images: Images, width: int, layout: str) -> Gallery:
     """Return pictures by caption side by side."""
-    return Gallery([Picture.of(image, width, name) for name, image in images.items()], layout)
+    return Gallery([Picture.encode(image, width, name) for name, image in images.items()], layout)
 
 
 def _frames(images: Images, kind: str) -> list[str]:
@@ -156,17 +156,21 @@ def _draw_masks(
     return pictures.draw_regions(large, regions, FONT_SIZE)
 
 
-def worst_answers(rows: Sequence[Row], count: int, per_scene: int) -> list[Row]:
+def worst_answers(rows: Rows, count: int, per_scene: int) -> list[Row]:
     """Return the scored rows of lowest IoU, wrong points first, at most a few per scene.
 
     A query occurs once per scene. Without scores any rows are returned.
     """
-    scored = [row for row in rows if row["iou"] is not None] or list(rows)
-    scored.sort(key=lambda row: (row["iou"] or 0, bool(row["hit_mask"]), bool(row["hit_box"])))
-    queries: dict[str, dict[str, Row]] = {}
-    for row in scored:
-        of_scene = queries.setdefault(row["scene"], {})
-        if len(of_scene) < per_scene:
-            of_scene.setdefault(row["query"], row)
-    chosen = {key_of(row) for of_scene in queries.values() for row in of_scene.values()}
-    return [row for row in scored if key_of(row) in chosen][:count]
+    rows = rows.having("iou") or rows
+    badness = [(row["iou"] or 0, bool(row["hit_mask"]), bool(row["hit_box"])) for row in rows]
+    worst: list[Row] = []
+    queries: dict[str, set[str]] = defaultdict(set)
+    for place in sorted(range(len(rows)), key=badness.__getitem__):
+        row = rows[place]
+        scene_queries = queries[row["scene"]]
+        if len(scene_queries) < per_scene and row["query"] not in scene_queries:
+            scene_queries.add(row["query"])
+            worst.append(row)
+            if len(worst) == count:
+                break
+    return worst

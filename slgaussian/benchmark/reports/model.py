@@ -138,7 +138,7 @@ class Picture:
     alt: str
 
     @staticmethod
-    def of(image: np.ndarray, width: int, caption: str, alt: str = "") -> Picture:
+    def encode(image: np.ndarray, width: int, caption: str, alt: str = "") -> Picture:
         """Encode an image uint8 [H, W, 3], reduced to ``width`` pixels if it is wider, as WebP."""
         out = io.BytesIO()
         Image.fromarray(reduce_width(image, width)).save(out, "WEBP", quality=WEBP_QUALITY)

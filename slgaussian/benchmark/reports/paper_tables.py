@@ -9,7 +9,7 @@ views, so numbers for other pairs of the same scene are not directly comparable.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -37,7 +37,7 @@ TABLES: list[dict[str, Any]] = tomllib.loads(
 
 
 def paper_section(
-    rows: Sequence[Row], data: Mapping[str, Mapping[str, Any]], ours: str = "slgaussian"
+    rows: Iterable[Row], data: Mapping[str, Mapping[str, Any]], ours: str = "slgaussian"
 ) -> Section | None:
     """Return Tables 1 to 4 for each of :data:`PROTOCOLS` with a number of this run; None without.
 
@@ -47,14 +47,14 @@ def paper_section(
             a published scene is a sample of that scene.
         ours: Name of our method in the rows.
     """
+    scenes = {name: scene for name, scene in data.items() if scene.get("published")}
     published = []
-    for row in rows:
-        of = data.get(row["scene"], {})
-        if of.get("published"):
+    for row in rows if scenes else ():
+        if scene := scenes.get(row["scene"]):
             method = "slgaussian" if row["method"] == ours else row["method"]
             frame = f"{row['scene']}/{row['frame']}"  # two pairs may share a target frame
-            named = {"dataset": of["format"], "scene": of["scene"], "method": method}
-            published.append({**row, **named, "frame": frame})
+            names = {"dataset": scene["format"], "scene": scene["scene"], "method": method}
+            published.append({**row, **names, "frame": frame})
     scores = {}
     for row in score_table(published).to_pylist():  # of all scenes of a data set
         scores[row["dataset"], None, *_score_key(row)] = row
@@ -90,7 +90,7 @@ def _table(
 ) -> Table:
     titles = [line["title"] for line in table["lines"]]
 
-    def named(entry: Mapping[str, Any]) -> str:
+    def make_title(entry: Mapping[str, Any]) -> str:
         title, method = entry["title"].replace("_", " "), entry.get("method")
         return f"{title} / {ours if method == 'slgaussian' else method}" if method else title
 
@@ -106,8 +106,8 @@ def _table(
             key = cell["format"], scenes[0] if len(scenes) == 1 else None, *of
             text = f"{printed:g}" if cell["metric"] == "seconds" else f"{printed:.2f}"
             cells.append(Cell(text, _number(scores[key]) if present else ""))
-        rows.append([named(line), *cells])
-    heads = ["", *map(named, table["columns"])]
+        rows.append([make_title(line), *cells])
+    heads = ["", *map(make_title, table["columns"])]
     return Table(heads, rows, table["title"], notes, has_total=titles[-1] == "overall")
 
 

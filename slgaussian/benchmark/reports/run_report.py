@@ -6,6 +6,7 @@ of costs afterwards.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -28,7 +29,7 @@ from slgaussian.benchmark.reports.score_tables import (
     scores_of,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
-from slgaussian.benchmark.scores import GOOD_IOU, grouped, key_of, of_first_protocol, score_table
+from slgaussian.benchmark.scores import GOOD_IOU, Rows, group_rows, query_key, score_table
 
 Row = Mapping[str, Any]
 BySet = Mapping[str, tuple[Mapping[str, Mapping[str, float]], Sequence[Row]]]
@@ -55,33 +56,34 @@ CARD_TERMS = model.terms(
 
 def run_report(
     scenes: Sequence[examples.Scene],
+    rows: Rows,
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]] = (),
-    attribution: Sequence[Row] = (),
+    attribution: Rows | None = None,
 ) -> model.Report:
     """Make the report of a run.
 
     Args:
+        rows: Rows of the spec ``samples`` of all scenes, our method first.
         manifest: Versions, settings and data, nested mappings allowed. Entries of ``data``, by
             scene, have ``format``, ``scene`` and ``published``, whether it is a scene of the
             paper's tables, and ``cameras``, the source of the cameras.
         failures: Scenes left out: ``scene``, ``stage``, ``reason``.
         attribution: Rows of the spec ``attribution``: cause of each miss of our method.
     """
-    rows = [row for scene in scenes for row in scene.rows]
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    lost = Rows.join([] if attribution is None else [attribution], "attribution")
+    methods = rows.values("method")
     ours = next(iter(methods), "")
-    leading = of_first_protocol(rows)
-    answers = [row for row in leading if row["method"] == ours]
-    scores = score_table(leading).to_pylist()
+    answers = rows.leading.where(method=ours)
+    scores = score_table(rows.leading).to_pylist()
     data = manifest.get("data", {})
-    sections, worst, folds = _picture_sections(scenes, answers, attribution)
+    sections, worst, folds = _picture_sections(scenes, answers, lost)
     if scores:
         sections.append(_scores_section(rows, methods))
     if failures:
         sections.append(_failures_section(failures))
     if worst:
-        sections.append(_worst_section(answers, worst, attribution))
+        sections.append(_worst_section(answers, worst, lost))
     if (paper := paper_section(rows, data, ours)) is not None:
         sections.append(paper)
     summary: list[model.Block] = [
@@ -127,7 +129,7 @@ def _repeat_section(manifest: Mapping[str, Any]) -> model.Section:
 def with_times(
     pages: Mapping[str, str],
     times: Times,
-    rows: Sequence[Row] = (),
+    rows: Rows,
     novel: Sequence[tuple[str, str, float]] = (),
 ) -> dict[str, str]:
     """Append the costs of one run to the forms ``html`` and ``md`` of its report.
@@ -141,7 +143,7 @@ def with_times(
 def _summary(
     scenes: Sequence[examples.Scene],
     methods: Sequence[str],
-    answers: Sequence[Row],
+    answers: Rows,
     data: Mapping[str, Any],
     left_out: int,
 ) -> list[model.Block]:
@@ -191,15 +193,16 @@ def _key_scores(by_set: BySet, ours: str) -> list[model.Table]:
 
 
 def _picture_sections(
-    scenes: Sequence[examples.Scene], answers: Sequence[Row], attribution: Sequence[Row]
+    scenes: Sequence[examples.Scene], answers: Rows, attribution: Rows
 ) -> tuple[list[model.Section], list[model.Card], dict[str, model.Fold]]:
     """Make the section of the example scene, the worst answers, and the pictures by scene.
 
     The pictures of one scene are in memory at a time.
     """
-    lost_by = {key_of(row): row["lost"] or "" for row in attribution}
     per_scene = max(MAX_WORST_PER_SCENE, -(-MAX_WORST_ANSWERS // (len(scenes) or 1)))
     worst = examples.worst_answers(answers, MAX_WORST_ANSWERS, per_scene)
+    shown = set(map(query_key, worst))
+    lost_by = {key: row["lost"] or "" for row in attribution if (key := query_key(row)) in shown}
     cards: dict[examples.Key, model.Card] = {}
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:MAX_PICTURED_SCENES]}
@@ -211,16 +214,18 @@ def _picture_sections(
             continue
         images = scene.pictures()
         if scene is example:
-            of_scene = [row for row in answers if row["scene"] == scene.name]
+            of_scene = list(answers.where(scene=scene.name))
             sections = [examples.example_section(scene, of_scene, images)]
         for row in chosen:
-            cards[key_of(row)] = examples.answer_card(row, images, lost_by.get(key_of(row), ""))
+            cards[query_key(row)] = examples.answer_card(
+                row, images, lost_by.get(query_key(row), "")
+            )
         if images and scene.name in pictured:
             folds[scene.name] = examples.scene_fold(scene, f"scene-{place}", images)
-    return sections, [cards[key_of(row)] for row in worst], folds
+    return sections, [cards[query_key(row)] for row in worst], folds
 
 
-def _scores_section(rows: Sequence[Row], methods: Sequence[str]) -> model.Section:
+def _scores_section(rows: Rows, methods: Sequence[str]) -> model.Section:
     """Return the scores of all methods; tables of other protocols than the first are collapsed."""
     explanations: list[model.Block] = [
         model.terms({s.title: s.help for s in scores_of(rows[0]["protocol"])})
@@ -238,7 +243,7 @@ def _scores_section(rows: Sequence[Row], methods: Sequence[str]) -> model.Sectio
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> model.Section:
     """List the scenes that were left out, one row per reason."""
     rows = []
-    for (stage, reason), members in grouped(failures, "stage", "reason").items():
+    for (stage, reason), members in group_rows(failures, "stage", "reason").items():
         names = [failure["scene"] for failure in members]
         rest = [f"and {len(names) - MAX_LISTED} more"] if names[MAX_LISTED:] else []
         rows.append(["; ".join([*names[:MAX_LISTED], *rest]), stage, reason])
@@ -246,36 +251,37 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> model.Section:
     return model.Section("Left out", [model.Table(heads, rows)], "left-out", style="failed")
 
 
-def _worst_section(
-    answers: Sequence[Row], worst: Sequence[model.Card], attribution: Sequence[Row]
-) -> model.Section:
+def _worst_section(answers: Rows, worst: Sequence[model.Card], attribution: Rows) -> model.Section:
     """Show the answers with the lowest scores, and the causes of misses."""
     blocks: list[model.Block] = []
-    scored = [row for row in answers if row["iou"] is not None]
-    for (dataset,), rows in grouped(scored, "dataset").items():
+    scored = answers.having("iou")
+    for dataset in scored.values("dataset"):
+        rows = scored.where(dataset=dataset)
         misses = sum(row["iou"] < GOOD_IOU or not row["hit_mask"] for row in rows)
-        text = (
-            f"**{model.escape(dataset)}**: {misses} misses in {len(rows)} queries, by an IoU below "
-        )
-        blocks.append(model.Prose(f"{text}{GOOD_IOU} or a point outside the labelled mask."))
+        text = f"**{model.escape(dataset)}**: {misses} misses in {len(rows)} queries, by an IoU "
+        blocks.append(model.Prose(f"{text}below {GOOD_IOU} or a point outside the labelled mask."))
     blocks += [CARD_TERMS, model.Cards(worst)]
     if attribution:
         blocks += _attribution_blocks(attribution)
     return model.Section("Lowest scores" if scored else "Answers", blocks, "worst")
 
 
-def _attribution_blocks(attribution: Sequence[Row]) -> list[model.Block]:
+def _attribution_blocks(attribution: Rows) -> list[model.Block]:
     """List the causes of misses of each data set, and of all queries in the last row."""
     columns = [model.Column("Responsible stage", is_text=True), model.Column("Queries")]
     columns += [model.Column(title, help) for title, help in REPLACEMENTS.values()]
     blocks: list[model.Block] = []
-    for (dataset,), queries in grouped(attribution, "dataset").items():
-        by_stage = {stage or "no miss": rows for (stage,), rows in grouped(queries, "lost").items()}
-        order = sorted(by_stage, key=lambda stage: (stage == "no miss", -len(by_stage[stage])))
+    for dataset in attribution.values("dataset"):
+        by_stage: dict[str, list[list[float | None]]] = defaultdict(list)
+        for row in attribution.where(dataset=dataset):
+            for stage in (row["lost"] or "no miss", "all"):
+                by_stage[stage].append([row[name] for name in REPLACEMENTS])
         lines = []
-        for stage, rows in ((stage, by_stage.get(stage, queries)) for stage in [*order, "all"]):
-            ious = ([row[n] for row in rows if row[n] is not None] for n in REPLACEMENTS)
-            means = [model.number(float(np.mean(values)), 3) if values else None for values in ious]
+        order = sorted(by_stage, key=lambda stage: -len(by_stage[stage]))
+        for stage in sorted(order, key=lambda stage: (stage == "all", stage == "no miss")):
+            rows = by_stage[stage]
+            ious = ([v for v in values if v is not None] for values in zip(*rows, strict=True))
+            means = (model.number(float(np.mean(values)), 3) if values else None for values in ious)
             lines.append([stage, str(len(rows)), *means])
         title = f"Misses by responsible stage, {dataset}"
         blocks.append(model.Table(columns, lines, title, has_total=True))

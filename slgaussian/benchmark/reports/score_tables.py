@@ -6,13 +6,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from slgaussian.benchmark.reports import model
-from slgaussian.benchmark.scores import Difference, differences, grouped, score_table
+from slgaussian.benchmark.scores import Difference, Rows, differences, group_rows, score_table
 from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES, Comparison
+
+if TYPE_CHECKING:  # a comparison of runs needs no evaluation
+    from slgaussian.benchmark.evaluate import SceneResult
 
 Row = Mapping[str, Any]
 
@@ -70,7 +73,7 @@ def scores_of(protocol: str) -> tuple[Score, ...]:
     return SCORES[protocol.partition("@")[0]]
 
 
-def method_tables(samples: Sequence[Row], ours: str = "") -> list[model.Table]:
+def method_tables(samples: Rows, ours: str = "") -> list[model.Table]:
     """Return a table for each data set and protocol: a row per method, best first.
 
     Scores that no method has are left out. Notes name the methods with other settings than most.
@@ -78,7 +81,7 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[model.Table]:
     ``ours`` to each other method in the first score.
     """
     order = list(SCORES)
-    groups = grouped(score_table(samples).to_pylist(), "dataset", "protocol")
+    groups = group_rows(score_table(samples).to_pylist(), "dataset", "protocol")
     gains = _gains(samples, ours)
     tables = []
     for (dataset, protocol), rows in sorted(
@@ -86,7 +89,7 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[model.Table]:
     ):
         by_method = {
             method: {row["metric"]: row for row in method_rows}
-            for (method,), method_rows in grouped(rows, "method").items()
+            for (method,), method_rows in group_rows(rows, "method").items()
         }
         columns = _present(protocol, by_method)
         if not columns:
@@ -131,14 +134,13 @@ def _present(protocol: str, by_name: Mapping[str, Mapping[str, Any]]) -> list[Sc
     return [s for s in scores_of(protocol) if any(s.metric in of for of in by_name.values())]
 
 
-def _gains(samples: Sequence[Row], ours: str) -> dict[tuple[str, ...], Difference]:
+def _gains(samples: Rows, ours: str) -> dict[tuple[str, ...], Difference]:
     """Return our differences to each other method by data set, protocol, method and metric."""
-    by_method = {method: rows for (method,), rows in grouped(samples, "method").items()}
     return {
         (gain.dataset, gain.protocol, method, gain.metric): gain
-        for method, rows in by_method.items()
+        for method in samples.values("method")
         if ours and method != ours
-        for gain in differences(by_method[ours], rows)
+        for gain in differences(samples.where(method=ours), samples.where(method=method))
     }
 
 
@@ -152,16 +154,11 @@ def fold_protocols(
     return [*first, *explanations, *([model.Fold("Other protocols", rest)] if rest else [])]
 
 
-def difference_tables(
-    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]],
-) -> list[model.Table]:
-    """Return a table for each data set and protocol: a row per pair, first minus second.
-
-    ``pairs`` are rows of the spec ``samples`` by the name of the row.
-    """
+def difference_tables(compared: Mapping[str, Sequence[Difference]]) -> list[model.Table]:
+    """Return a table for each data set and protocol: a row for each name, its differences."""
     groups: dict[tuple[str, str], dict[str, dict[str, Difference]]] = {}
-    for name, (rows, baseline) in pairs.items():
-        for difference in differences(rows, baseline):
+    for name, found in compared.items():
+        for difference in found:
             by_name = groups.setdefault((difference.dataset, difference.protocol), {})
             by_name.setdefault(name, {})[difference.metric] = difference
     tables = []
@@ -270,3 +267,31 @@ def score_cell(row: Row | None, digits: int) -> model.Cell:
     bounds = row["low"], row["high"]
     below = "" if None in bounds else "–".join(f"{bound:.{digits}f}" for bound in bounds)
     return model.Cell(f"{row['value']:.{digits}f}", below)
+
+
+def scenes_text(results: Sequence[SceneResult]) -> str:
+    """Tabulate the first method's scores of each scene by data set, and all methods if several."""
+    blocks = []
+    for dataset in dict.fromkeys(result.dataset for result in results):
+        members = [result for result in results if result.dataset == dataset]
+        first = [result for result in members if result.method == members[0].method]
+        rows = Rows.join(result.rows for result in members).leading
+        scores = score_table(rows.where(method=first[0].method)).to_pylist()
+        text = metrics_table({r.scene: r.scene_metrics for r in first}, scores).as_text()
+        blocks.append(f"{text}\n{_conditions_text(scores[0])}" if scores else text)
+        if rows and len(first) < len(members):
+            blocks.append(methods_text(rows))
+    return "\n\n".join(blocks)
+
+
+def methods_text(samples: Rows) -> str:
+    """Tabulate samples: one table per data set and protocol, one line per method."""
+    tables = method_tables(samples)
+    texts = ("\n".join([t.title, t.as_text(), *map(model.plain, t.notes)]) for t in tables)
+    return "\n\n".join(texts)
+
+
+def _conditions_text(score: Mapping[str, Any]) -> str:
+    of = " of ".join(model.count_text(score[f"{unit}s"], unit) for unit in ("sample", "scene"))
+    note = f"; {score['note']}" if score["note"] else ""
+    return f"by {score['protocol']} ({conditions(score)}); {of}{note}"

@@ -16,13 +16,13 @@ from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.reports.figures import MUTED_COLOUR, svg_picture
 from slgaussian.benchmark.reports.model import Block, Column, Prose, Table, number
 from slgaussian.benchmark.reports.score_tables import score_cell
-from slgaussian.benchmark.scores import of_first_protocol, score_table
+from slgaussian.benchmark.scores import Rows, score_table
 
 Row = Mapping[str, Any]
 
 COSTS_CAPTION = (
     "**Pareto front**: no other method has at most the same error in at most the same time, of a "
-    "scene or of a query; in the figures a line. Bars are the intervals of the table. Times are "
+    "scene or of a query; in the figure a line. Bars are the intervals of the table. Times are "
     "medians over scenes of wall time on this machine; other scenes may have run at the same time. "
     "**Build**: from photographs to a field, which methods share unless its settings are swept. "
     "**Prepare**: additional work of the method for each scene. **A scene**: build, prepare, and "
@@ -34,32 +34,28 @@ STAGES_CAPTION = (
     "result was computed, possibly in an earlier run."
 )
 
-FIGURES = {"scene": "seconds for a scene", "query": "seconds for a query in a new view"}
-"""Horizontal axes of the figures of speed and error, by the word in the table."""
+FRONTS = ("scene", "query")
+"""Times that have a Pareto front: of a scene, which the figure shows, and of a query."""
 
-FIGURE_SIZE, LEGEND_ROW = (5.2, 3.4), 0.21
-"""Size of a figure without its legend, and height of a row of the legend, inches."""
+FIGURE_WIDTH, FIGURE_HEIGHT, LEGEND_ROW = 5.2, 3.4, 0.21
+"""Size of the figure without its legend, and height of a row of the legend, inches."""
 
 
-def speed_blocks(
-    times: Times, rows: Sequence[Row], novel: Sequence[tuple[str, str, float]]
-) -> list[Block]:
+def speed_blocks(times: Times, rows: Rows, novel: Sequence[tuple[str, str, float]]) -> list[Block]:
     """Return the blocks on the costs of a run.
 
     ``rows`` are of the spec ``samples``; their scores by the first protocol are compared with the
     times. ``novel`` are (data set, method, PSNR of held-out views in dB), one per scene.
     """
-    leading = of_first_protocol(rows)
     ious = {
         (score["dataset"], score["method"]): score
-        for score in score_table(leading).to_pylist()
+        for score in score_table(rows.leading).to_pylist()
         if score["metric"] == "iou"
     }
     blocks: list[Block] = [Prose("Only this section changes if a run is repeated.")]
     for dataset in dict.fromkeys(cost.dataset for cost in times.costs):
-        sizes = dict.fromkeys(
-            f"{row['height']} x {row['width']}" for row in leading if row["dataset"] == dataset
-        )
+        samples = rows.leading.where(dataset=dataset)
+        sizes = dict.fromkeys(f"{row['height']} x {row['width']}" for row in samples)
         title = f"{dataset}, evaluated at {', '.join(sizes)} pixels (height x width)"
         costs = [cost for cost in times.costs if cost.dataset == dataset]
         scores = {cost.method: ious.get((dataset, cost.method)) for cost in costs}
@@ -83,7 +79,7 @@ def _scores_by_cost(
     ious: Mapping[str, Row | None],
     decibels: Mapping[str, float],
 ) -> list[Block]:
-    """Compare scores and costs of the methods of a data set, best first, as table and figures.
+    """Compare scores and costs of the methods of a data set, best first, as table and figure.
 
     The error of a method is 1 - IoU; if no method has an IoU, the RMS error of held-out views.
     """
@@ -91,7 +87,7 @@ def _scores_by_cost(
     if not errors:
         label = "RMS error of held-out views"
         errors = {name: 10 ** (-value / 20) for name, value in decibels.items()}
-    points: dict[str, dict[str, tuple[float, float]]] = {kind: {} for kind in FIGURES}
+    points: dict[str, dict[str, tuple[float, float]]] = {kind: {} for kind in FRONTS}
     for cost in (cost for cost in costs if cost.method in errors):
         for kind, seconds in (("scene", cost.total), ("query", cost.view_query)):
             if seconds:
@@ -105,24 +101,17 @@ def _scores_by_cost(
             number(cost.build, 2),
             number(cost.prepare, 3),
             number(cost.view_query, 4),
-            ", ".join(kind for kind in FIGURES if points[kind].get(cost.method) in fronts[kind]),
+            ", ".join(kind for kind in FRONTS if points[kind].get(cost.method) in fronts[kind]),
         ]
         for cost in sorted(costs, key=lambda cost: errors.get(cost.method, 1))
     ]
     heads = ["Method", "IoU", "PSNR, dB", "Build, s", "Prepare, s", "Query in a new view, s"]
     blocks: list[Block] = [Table([*heads, "Pareto front"], rows, title)]
-    if len(errors) > 1:
-        size = FIGURE_SIZE[0], FIGURE_SIZE[1] + LEGEND_ROW * len(errors)
-        pictures = [
-            svg_picture(
-                partial(_draw, points[kind], ious, fronts[kind], (axis, label)),
-                size,
-                f"{label}, by {axis}",
-            )
-            for kind, axis in FIGURES.items()
-            if points[kind]
-        ]
-        blocks.append(model.Gallery(pictures, "grid plots"))
+    if len(errors) > 1 and points["scene"]:
+        size = FIGURE_WIDTH, FIGURE_HEIGHT + LEGEND_ROW * len(errors)
+        draw = partial(_draw, points["scene"], ious, fronts["scene"], label)
+        picture = svg_picture(draw, size, f"{label}, by seconds for a scene")
+        blocks.append(model.Gallery([picture], "grid plots"))
     return blocks
 
 
@@ -130,7 +119,7 @@ def _draw(
     points: Mapping[str, tuple[float, float]],
     ious: Mapping[str, Row | None],
     front: Sequence[tuple[float, float]],
-    labels: tuple[str, str],
+    label: str,
     axes: Axes,
 ) -> None:
     """Draw the (seconds, error) of methods with intervals of the error, and their front."""
@@ -139,7 +128,7 @@ def _draw(
         if (row := ious.get(name)) and row["low"] is not None:
             axes.vlines(x, 1 - row["high"], 1 - row["low"], color=dot.get_color(), alpha=0.6)
     axes.step(*np.transpose(sorted(set(front))), where="post", color=MUTED_COLOUR, lw=0.8)
-    axes.set(xscale="log", xlabel=f"{labels[0]} (log)", ylabel=labels[1])
+    axes.set(xscale="log", xlabel="seconds for a scene (log)", ylabel=label)
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.xaxis.set_minor_formatter(NullFormatter())

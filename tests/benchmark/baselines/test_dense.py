@@ -54,7 +54,7 @@ def plain_gap(view: DenseView, text: str, rivals: list[str] | None = None) -> np
 
 
 @pytest.mark.parametrize("rivals", [None, ["wall", "red box"]])
-def test_gaps_are_those_of_the_formula(view, rivals):
+def test_dense_gaps_equal_the_formula(view, rivals):
     rules = Rules() if rivals is None else Rules(canonical=", ".join(rivals))
     gaps = view.gaps(TEXTS, rules)
     for text, gap in zip(TEXTS, gaps, strict=True):
@@ -62,7 +62,7 @@ def test_gaps_are_those_of_the_formula(view, rivals):
         assert gap[3, 4] == 0  # a zero vector says nothing
 
 
-def test_cosines_do_not_depend_on_the_number_of_threads(view):
+def test_cosines_are_equal_on_any_number_of_threads(view):
     flat, texts = view.vectors.reshape(-1, view.vectors.shape[2]), view.reader.vectors(TEXTS)
     actual = [np.empty((3, len(flat))) for _ in range(2)]
     for count, into in zip((1, 2), actual, strict=True):
@@ -72,7 +72,7 @@ def test_cosines_do_not_depend_on_the_number_of_threads(view):
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_answers_follow_the_rules(view, text):
+def test_dense_results_follow_the_rules(view, text):
     gap = plain_gap(view, text)
     relevancy = 1 / (1 + np.exp(-10 * gap))
     (hit,) = view.query_all([text])
@@ -90,7 +90,7 @@ def test_answers_follow_the_rules(view, text):
     assert np.array_equal(hit.mask, view.seen & (relevancy > 0.6))
 
 
-def test_segments_go_to_the_best_text(view):
+def test_dense_segment_chooses_the_best_text(view):
     gaps = [plain_gap(view, text) for text in TEXTS]
     expected = np.where(view.seen, np.argmax(gaps, 0) + 1, 0)
     assert np.array_equal(view.segment(TEXTS), expected)
@@ -98,7 +98,7 @@ def test_segments_go_to_the_best_text(view):
     assert set(np.unique(view.segment(["red ball", "red ball"]))) == {0, 1}
 
 
-def test_gaps_of_small_vectors_are_bilinear_between_their_pixels(view):
+def test_dense_gaps_interpolate_small_vectors(view):
     coarse = view.vectors[2::4, 2::4].copy()
     small = DenseView(view.rgb, view.depth, view.reader, view.seen, coarse)
     centres = [np.arange(length) * 4 + 2.0 for length in coarse.shape[:2]]

@@ -32,21 +32,27 @@ def load_quick(name: str) -> Baseline:
 
 
 @pytest.fixture(scope="module")
+def room_inputs(room) -> Inputs:
+    data = room.sample, room.field, room.gaussians, room.label_maps
+    return Inputs(*data, load_proposer("regions"))
+
+
+@pytest.fixture(scope="module")
 def answering(room_inputs):
     """Each method prepared once: a function of the row's name."""
     return cache(lambda name: load_quick(name)(room_inputs))
 
 
 @pytest.fixture(scope="module")
-def view_of(answering, room):
+def render_view(answering, room):
     camera = room.sample.targets[0].camera
     return cache(lambda name: answering(name).render(camera))
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_every_row_answers_through_the_interface(name, answering, view_of):
+def test_methods_implement_the_interface(name, answering, render_view):
     assert isinstance(answering(name), Answering)
-    view = view_of(name)
+    view = render_view(name)
     assert isinstance(view, AnsweringView) and isinstance(view.reader, Reader)
     shape = 104, 144
     assert view.rgb.dtype == np.uint8 and view.rgb.shape == (*shape, 3)
@@ -68,19 +74,19 @@ def test_every_row_answers_through_the_interface(name, answering, view_of):
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
-    (hit,) = view_of(name).query_all([PLAIN])
+def test_methods_find_an_object_by_its_colour(name, render_view, room):
+    (hit,) = render_view(name).query_all([PLAIN])
     mask = room.truth["view_01"][PLAIN]
     assert metrics.point_in_mask(hit.point, mask)
     assert metrics.iou(hit.mask, mask) > LEAST_IOU.get(name, 0.7)
     # And not by taking everything.
     assert hit.mask.mean() < 0.75
-    (hit,) = view_of(name).query_all([PLAIN], threshold=0.52)
+    (hit,) = render_view(name).query_all([PLAIN], threshold=0.52)
     sure = np.abs(hit.relevancy - 0.52) > 1e-6  # relevancy is rounded to float32
     assert np.array_equal(hit.mask[sure], hit.relevancy[sure] > 0.52)
 
 
-def test_vectors_that_take_much_memory_are_rendered_smaller(answering, room, monkeypatch):
+def test_langsplat_like_renders_large_vectors_smaller(answering, room, monkeypatch):
     method, limit = answering("langsplat-like"), "langsplat_like.MAX_ELEMENTS"
     camera = room.sample.targets[0].camera
     numbers = method.render(camera).vectors.size
@@ -93,9 +99,10 @@ def test_vectors_that_take_much_memory_are_rendered_smaller(answering, room, mon
 
 
 @pytest.mark.parametrize("name", ["langsplat-like", "no-association"])
-def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
+def test_methods_are_deterministic(name, room_inputs, render_view, room):
     texts = list(room.truth["view_01"])
-    repeated = load_quick(name)(fresh).render(room.sample.targets[0].camera)
+    inputs = replace(room_inputs)  # without cached results
+    repeated = load_quick(name)(inputs).render(room.sample.targets[0].camera)
 
     def answers(view):
         images = [view.rgb, view.ids, view.depth, view.segment(texts)]
@@ -103,17 +110,17 @@ def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
         images += [image for hit in hits for image in (hit.relevancy, hit.mask)]
         return [image.tobytes() for image in images], [(hit.point, hit.score) for hit in hits]
 
-    assert answers(repeated) == answers(view_of(name))
+    assert answers(repeated) == answers(render_view(name))
 
 
-def test_bad_settings_are_refused():
+def test_load_method_refuses_unknown_settings():
     with pytest.raises(InputError, match="unknown method"):
         load_method("lseg")
     with pytest.raises(InputError, match="settings of 'langsplat-like'"):
         load_method("langsplat-like", optimised=True)
 
 
-def test_without_association_no_object_is_in_two_views(answering, room_inputs):
+def test_no_association_separates_objects_by_view(answering, room_inputs):
     bank = answering("no-association").bank
     assert (bank.present.sum(1) == 1).all()
     ids = [set(np.unique(labels)) - {0} for labels in room_inputs.own_labels.labels]
@@ -121,7 +128,7 @@ def test_without_association_no_object_is_in_two_views(answering, room_inputs):
     assert sorted(ids[0] | ids[1]) == bank.ids.tolist() == list(range(1, len(bank) + 1))
 
 
-def test_without_the_bank_an_object_has_the_mean_of_its_views(answering, room):
+def test_no_bank_averages_features_over_views(answering, room):
     bank, mean = room.field.bank, answering("no-bank").bank
     assert mean.present.shape == (len(bank), 1)
     for k in range(len(bank)):
@@ -132,7 +139,7 @@ def test_without_the_bank_an_object_has_the_mean_of_its_views(answering, room):
 
 
 @pytest.mark.parametrize("name", ["query-2d", "query-2d, depth", "langsplat-like"])
-def test_in_an_empty_picture_nothing_is_found(name, answering, room):
+def test_methods_find_nothing_in_an_empty_view(name, answering, room):
     camera = room.sample.targets[0].camera
     away = camera.c2w.copy()
     away[:3, 3] -= 100 * camera.c2w[:3, 2]
@@ -144,7 +151,7 @@ def test_in_an_empty_picture_nothing_is_found(name, answering, room):
         assert not image.any()
 
 
-def test_rows_work_with_another_encoder(room, tmp_path_factory):
+def test_methods_accept_another_encoder(room, tmp_path_factory):
     pytest.importorskip("transformers")
     from tests.language.small_clip import save_clip
 
