@@ -104,12 +104,12 @@ def fill(room: ArtifactStore, config: Any) -> None:
         patch.setattr(os, "fsync", lambda file: None)
         for stage in STAGES:
             patch.setattr(stage, "task", without_prefect(stage.task.fn))
-        refs, _ = compute_scene(tasks[0], room, 1, lambda event: None)
+        refs = compute_scene(tasks[0], room, 1, lambda event: None).refs
         for stage in STAGES:
             patch.setattr(stage, "compute", stand_in(room, refs[stage.name]))
         for task in tasks:
-            _, failure = compute_scene(task, ArtifactStore(config.store), 1, lambda event: None)
-            assert failure is None, failure
+            run = compute_scene(task, ArtifactStore(config.store), 1, lambda event: None)
+            assert run.failure is None, run.failure
 
 
 def recorded(server: LocalServer) -> tuple[int, float]:

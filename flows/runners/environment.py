@@ -12,7 +12,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -129,23 +128,6 @@ def interruptible() -> Iterator[None]:
         signal.raise_signal(received)
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def perform(command: str, config: Any, verbose: bool = False) -> Any:
-    """Run the flow of a command, and return its result.
-
-    Raises:
-        SLGaussianError: As the flow, and if the Prefect server fails.
-    """
-    store = ArtifactStore(config.store)
-    with orchestration(store) as wait_for_server:
-        # The imports take as long as the start of the server.
-        place, name = FLOWS[command].split(":")
-        module = import_module(place)
-        if hasattr(module, "check"):
-            module.check(config, store)
-        wait_for_server()
-        return call_flow(getattr(module, name), config, verbose)
 
 
 def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:

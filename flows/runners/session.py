@@ -18,21 +18,15 @@ from uuid import UUID
 
 from prefect import artifacts
 from prefect.client.orchestration import get_client
-from prefect.client.schemas.filters import (
-    FlowRunFilter,
-    FlowRunFilterId,
-    TaskRunFilter,
-    TaskRunFilterState,
-    TaskRunFilterStateType,
-)
-from prefect.client.schemas.objects import StateType
+from prefect.client.schemas.filters import FlowRunFilter, TaskRunFilter
 from prefect.events.worker import EventsWorker
 from prefect.logging.handlers import APILogHandler
 from prefect.runtime import deployment, flow_run
 from prefect.states import Cancelled, State
 
+from flows.config import Engine
 from flows.runners import logger
-from flows.runners.batches import Failure, TooManyFailuresError, state_after, write_failures
+from flows.runners.batches import TooManyFailuresError, write_failures
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import __version__
 from slgaussian.benchmark.mlflow_log import log_results
@@ -133,15 +127,10 @@ def _close_tasks() -> None:
     EventsWorker.drain_all(timeout=CLOSE_TIMEOUT)  # else a task that starts now may follow
     try:
         with get_client(sync_client=True) as client:
-            open_tasks = client.read_task_runs(
-                flow_run_filter=FlowRunFilter(id=FlowRunFilterId(any_=[UUID(flow_run.id)])),
-                task_run_filter=TaskRunFilter(
-                    state=TaskRunFilterState(
-                        type=TaskRunFilterStateType(any_=[StateType.PENDING, StateType.RUNNING])
-                    )
-                ),
-            )
-            for task_run in open_tasks:
+            ours = FlowRunFilter.model_validate({"id": {"any_": [flow_run.id]}})
+            is_open = {"state": {"type": {"any_": ["PENDING", "RUNNING"]}}}
+            open_tasks = TaskRunFilter.model_validate(is_open)
+            for task_run in client.read_task_runs(flow_run_filter=ours, task_run_filter=open_tasks):
                 state: State[Any] = Cancelled(message="the run was stopped")
                 client.set_task_run_state(task_run.id, state, force=True)
     except Exception as error:  # the server may have stopped too
@@ -156,13 +145,6 @@ def _exit_at_once() -> None:
     os._exit(128 + signal.SIGTERM)
 
 
-def final_state(
-    message: str, result: Result, failures: Sequence[Failure] = (), nothing_left: bool = False
-) -> State[Result]:
-    """Return the final state of a flow, by :func:`flows.runners.batches.state_after`."""
-    return final(state_after(message, result, failures, nothing_left))
-
-
 def final(state: State[Result]) -> State[Result]:
     """Record the result of a final state; one that is not Completed then raises its message."""
     RESULTS[:] = [state.data]
@@ -171,15 +153,14 @@ def final(state: State[Result]) -> State[Result]:
     return state
 
 
-def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:
-    """Return ``config.refresh``; InputError if an element is no stage of the flow."""
+def check_refresh(config: Engine, stages: Sequence[str]) -> None:
+    """Raise InputError if an element of ``config.refresh`` is no stage of the flow."""
     for name in config.refresh:
         if name not in stages:
             raise InputError(
                 f"refresh: found {name!r}, expected one of the stages {', '.join(stages)}"
                 f"{did_you_mean(name, stages)}"
             )
-    return frozenset(config.refresh)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from flows.runners.batches import (
     run_batch,
     write_failures,
 )
-from flows.runners.session import stages_to_refresh
+from flows.runners.session import check_refresh
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore, DamagedError, StoreError
 
@@ -100,7 +100,7 @@ def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
     run_tiny(store, {"a": tiny(6, 1, log)})
     assert log.read_text() == ""
     with pytest.raises(InputError, match="'haive', expected one of the stages make"):
-        stages_to_refresh(SimpleNamespace(refresh=["haive"]), ["make", "halve"])
+        check_refresh(SimpleNamespace(refresh=["haive"]), ["make", "halve"])
 
 
 def test_a_bad_scene_is_left_out_and_named(store, tmp_path):

@@ -26,6 +26,7 @@ def run_tiny(
     """Run ``{scene: arguments of its pipeline}``; returns the outcome."""
     from tiny_flow import WORK, tiny_flow
 
+    from flows.config import Engine
     from flows.runners.batches import SceneTask, map_scenes
     from flows.runners.environment import call_flow
     from flows.runners.progress import Progress
@@ -40,7 +41,8 @@ def run_tiny(
             SceneTask(scene, tiny_pipeline, arguments, first="make")
             for scene, arguments in scenes.items()
         ]
-        with open_workers(runner, workers, store, frozenset(refresh), max_failures) as opened:
+        limits = {"refresh": list(refresh), "max_failures": max_failures}
+        with open_workers(Engine(runner=runner, workers=workers, **limits), store) as opened:
             return map_scenes(scene_tasks, opened, progress)
 
     WORK.append(work)
