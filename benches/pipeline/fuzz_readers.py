@@ -61,7 +61,7 @@ KINDS = {
 }
 
 
-def measured(name: str, number: int, seed: int, folder: Path) -> Outcome:
+def measure(name: str, number: int, seed: int, folder: Path) -> Outcome:
     reset_peak_memory()
     before, begun = memory_status("VmRSS"), time.process_time()
     kind, message = verdict(name, number, seed, folder)
@@ -82,7 +82,7 @@ def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int)
     with os.fdopen(out, "w") as lines:
         FORMATS[name].read(folder)  # so that imports count for no file
         for number in range(first, count):
-            outcomes = measured(name, number, seed, folder)
+            outcomes = measure(name, number, seed, folder)
             lines.write(json.dumps(asdict(outcomes)) + "\n")
             lines.flush()
     os._exit(0)

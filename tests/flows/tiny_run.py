@@ -1,7 +1,6 @@
 """A flow of tiny stages: called by tests, and run as a program by tests that kill it."""
 
 import io
-import math
 import sys
 from pathlib import Path
 
@@ -21,7 +20,7 @@ def run_tiny(
     runner: str = "threads",
     progress=None,
     refresh: tuple[str, ...] = (),
-    max_failures: float = math.inf,
+    max_failures: float = 1e9,
 ):
     """Run ``{scene: arguments of its pipeline}``; returns the outcome."""
     from tiny_flow import WORK, tiny_flow
