@@ -64,7 +64,7 @@ class Source:
         return Path(self.location).resolve().name if is_path else self.location
 
 
-def sources_of(texts: Sequence[str]) -> list[Source]:
+def find_sources(texts: Sequence[str]) -> list[Source]:
     """Return all scenes and chunks of the sources, in the given order.
 
     ``procedural:FIRST-LAST`` gives rooms, named ``procedural_FIRST`` and so on. Any other source
@@ -155,7 +155,7 @@ def map_sources(
     It is called with the content of a source and ``arguments``. Scenes have one more stage, packing
     as a chunk. Withdrawn clips have no owner.
     """
-    sources, withdrawn = sources_of(config.sources), config.withdrawn_clips()
+    sources, withdrawn = find_sources(config.sources), config.withdrawn_clips()
     computed, failures = dict[str, dict[str, ArtifactRef]](), list[Failure]()
     for unit, first, extra in (("chunks", views, 0), ("scenes", packed, 1)):
         tasks = [t for t in source_tasks(sources, pipeline, arguments) if t.first == first.name]

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from prefect import flow
 from prefect.states import State
 
-from flows.clip_sources import Clips, choose_samples, map_sources, sources_of
+from flows.clip_sources import Clips, choose_samples, find_sources, map_sources
 from flows.config import CorpusSettings
 from flows.runners.batches import Failure, state_after, write_failures
 from flows.runners.session import check_folder, check_refresh, final, run_session, writing
@@ -110,7 +110,7 @@ def make_lessons(
 
 def check(config: CorpusSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`ingest_corpus`."""
-    sources_of(config.sources)
+    find_sources(config.sources)
     config.withdrawn_clips()
     store.check_writable()
     check_folder(config.out)

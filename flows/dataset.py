@@ -16,7 +16,7 @@ from prefect import flow
 from prefect.states import State
 
 from flows import corpus
-from flows.clip_sources import Clips, Source, choose_samples, map_sources, sources_of
+from flows.clip_sources import Clips, Source, choose_samples, find_sources, map_sources
 from flows.config import DatasetSettings
 from flows.runners.batches import Failure, SceneTask, map_scenes, state_after, write_failures
 from flows.runners.progress import Progress
@@ -91,7 +91,7 @@ def check(config: DatasetSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`make_training_set`."""
     config.built_by.check()
     corpus.check(config, store)
-    sources = sources_of(config.sources)
+    sources = find_sources(config.sources)
     for name in config.licences:
         if not any(_has_name(source, name) for source in sources):
             titles = list(dict.fromkeys(source.title for source in sources))

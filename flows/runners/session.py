@@ -63,7 +63,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
     store = ArtifactStore(config.store)
     if deployment.id is not None:
         threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
-    damaged: dict[str, str] = {}
+    damaged = dict[str, str]()
     check_folder(config.out)
     _tag_run(command, dict(config))
     with record_provenance(Provenance(command)):

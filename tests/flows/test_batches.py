@@ -103,7 +103,7 @@ def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
         check_refresh(SimpleNamespace(refresh=["haive"]), ["make", "halve"])
 
 
-def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
+def test_map_scenes_leaves_out_bad_scenes_by_name(store, tmp_path):
     log = tmp_path / "log"
     scenes = {
         "good": tiny(4, 1, log),
@@ -133,7 +133,7 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     ("bad", "limit", "stops"),
     [(3, 0.5, 0), (25, 0.5, 21), (25, 30, 0), (25, 2, 3), (30, 0.9, 21), (30, 1e9, 0)],
 )
-def test_a_run_stops_when_more_is_left_out_than_allowed(store, tmp_path, bad, limit, stops):
+def test_map_scenes_stops_beyond_max_failures(store, tmp_path, bad, limit, stops):
     log = tmp_path / "log"
     scenes = {f"{k:02d}": tiny(-1 if k < bad else 4, 1, log) for k in range(32)}
     if not stops:

@@ -60,7 +60,7 @@ def first(tmp_path_factory, server):
     return folder, missing, finished
 
 
-def test_the_bad_scene_is_named_and_the_good_one_reported(first):
+def test_run_names_the_bad_scene_and_reports_the_good_one(first):
     folder, _, finished = first
     assert [(result.scene, result.method) for result in finished.results] == [
         ("room", "slgaussian"),
@@ -245,7 +245,7 @@ def test_a_query_setting_recomputes_the_benchmark_alone(first, capsys):
 
 
 # The last test of the file: it leaves the run that the others look at harmed.
-def test_what_is_damaged_is_made_again_and_never_handed_out(first, monkeypatch):
+def test_run_computes_damaged_artifacts_again(first, monkeypatch):
     """All artifacts are damaged at once: fields link to some, reports use others."""
     folder, missing, _ = first
     hidden = ("log", "times", "report.")  # they say when, or how fast

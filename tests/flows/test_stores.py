@@ -106,7 +106,7 @@ def test_a_store_that_is_not_there_is_not_made_by_looking(tmp_path, monkeypatch,
 
 
 @pytest.mark.parametrize("key", ["store", "sources"])
-def test_settings_with_credentials_are_refused_before_they_are_said(key, monkeypatch, capsys):
+def test_settings_refuse_credentials_without_printing_them(key, monkeypatch, capsys):
     place = "s3://AKIA123:hidden@bucket/x"
     words = {"store": ("demo", "--store", place), "sources": ("ingest", place, "-o", "out")}[key]
     assert run(monkeypatch, *words) == 2

@@ -11,7 +11,7 @@ from slgaussian.benchmark.scores import scene_means
 from tests.benchmark.rows import sample
 
 
-def result_of(scene, *ious, method="m", dataset="d"):
+def make_result(scene, *ious, method="m", dataset="d"):
     named = {"method": method, "dataset": dataset}
     rows = [sample(scene, f"q{k}", iou=iou, **named) for k, iou in enumerate(ious)]
     other = [row | {"protocol": "langsplat@2", "iou": 0.0} for row in rows]
@@ -20,7 +20,7 @@ def result_of(scene, *ious, method="m", dataset="d"):
 
 
 def test_the_mean_has_an_interval_and_says_by_what():
-    lines = scenes_text([result_of("a", 0.2, 0.4), result_of("b", 0.9)]).splitlines()
+    lines = scenes_text([make_result("a", 0.2, 0.4), make_result("b", 0.9)]).splitlines()
     assert [line.split() for line in lines[:-1]] == [
         ["Scene", "IoU", "PSNR"],
         ["a", "0.300", "20.0"],
@@ -34,7 +34,7 @@ def test_the_mean_has_an_interval_and_says_by_what():
 
 
 def test_one_scene_has_no_interval_and_no_scene_no_numbers():
-    *_, mean, by = scenes_text([result_of("a", 0.5)]).splitlines()
+    *_, mean, by = scenes_text([make_result("a", 0.5)]).splitlines()
     assert mean.split() == ["mean", "0.500", "20.0"]
     assert by.endswith("1 sample of 1 scene; one place: no interval")
     unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {})

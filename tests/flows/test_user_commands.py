@@ -18,7 +18,7 @@ def check(group: str, folder: Path, **variables: str) -> None:
     assert len(results) > 2
 
 
-def test_a_field_is_built_and_asked(tmp_path):
+def test_commands_build_and_query_a_field(tmp_path):
     check("fields", tmp_path)
 
 
