@@ -1,10 +1,8 @@
 """Repetition of a run from ``run.toml``, and lineage of its numbers."""
 
 import hashlib
-import http.server
 import json
 import shutil
-import threading
 import tomllib
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 from command import files_below, run, write_photographs
 from PIL import Image
+from web import receive_json
 
 from slgaussian import datasets
 from tests.language.small_clip import save_clip
@@ -170,22 +169,7 @@ def test_openlineage_events_of_a_run_are_complete(first, slg, tmp_path):
     assert {"ingest", "field", "benchmark", "baselines"} <= jobs
     assert "desk/slgaussian, views=3/benchmark" in known
 
-    bodies = []
-
-    class Sink(http.server.BaseHTTPRequestHandler):
-        def do_POST(self):
-            bodies.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(201)
-            self.end_headers()
-
-        def log_message(self, *words):
-            pass
-
-    with http.server.HTTPServer(("127.0.0.1", 0), Sink) as sink:
-        threading.Thread(target=sink.serve_forever, daemon=True).start()
-        url = f"http://127.0.0.1:{sink.server_port}"
+    with receive_json() as (url, received):
         assert slg("inspect", first / "report", "--openlineage", url)[0] == 0
-        sink.shutdown()
-    assert [body["run"]["runId"] for body in bodies] == [
-        json.loads(line)["run"]["runId"] for line in lines
-    ]
+    sent = [received.get_nowait()["run"]["runId"] for _ in lines]
+    assert received.empty() and sent == [json.loads(line)["run"]["runId"] for line in lines]
