@@ -111,7 +111,7 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
         InputError: If there are no scenes, a component is unknown, or the store or the output
             folder cannot be written.
     """
-    result = run_session("run", config, lambda store: _score(config, store, verbose))
+    result = run_session("run", config, _score, verbose)
     message = f"report: {result.report}" if result.report else "no report"
     if result.report is not None:
         publish(PAGE, result.report, "Report with pictures")

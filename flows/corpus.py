@@ -58,14 +58,14 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
     Raises:
         InputError: If a source is missing, or the store or the output folder cannot be written.
     """
+    return run_session("ingest", config, _ingest, verbose).end()
 
-    def work(store: ArtifactStore) -> Prepared:
-        arguments = Bounds.of(config), config.trust_cameras, TARGETS
-        prepared, clips = _prepare(config, store, INGEST, choose_samples, arguments, verbose)
-        _write_chunks(config.out / "chunks", clips, store)
-        return prepared
 
-    return run_session("ingest", config, work).end()
+def _ingest(config: CorpusSettings, store: ArtifactStore, verbose: bool) -> Prepared:
+    arguments = Bounds.of(config), config.trust_cameras, TARGETS
+    prepared, clips = _prepare(config, store, INGEST, choose_samples, arguments, verbose)
+    _write_chunks(config.out / "chunks", clips, store)
+    return prepared
 
 
 @flow(
@@ -77,7 +77,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
     Raises:
         InputError: As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
-    return run_session("supervise", config, lambda s: supervise(config, s, verbose)).end()
+    return run_session("supervise", config, supervise, verbose).end()
 
 
 def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:

@@ -82,7 +82,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
         InputError: If a source is missing, a component is unknown, a licence is of no source, no
             sample is left, the split leaks, or the store or the folder cannot be written.
     """
-    result = run_session("dataset", config, lambda store: _make(config, store, verbose))
+    result = run_session("dataset", config, _make, verbose)
     message = f"{result.samples} samples in {config.out}"
     return final(state_after(message, result, result.failures, nothing_left=False))
 

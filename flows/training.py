@@ -103,7 +103,7 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
         InputError: If there are too few lessons, they are not in the store, the initial weights
             cannot be used, the training fails, or a file cannot be written.
     """
-    trained = run_session("train", config, lambda store: _train(config, store, verbose))
+    trained = run_session("train", config, _train, verbose)
     message = f"weights: {config.out / FILES['weights']}"
     return final(state_after(message, trained, (), nothing_left=False))
 

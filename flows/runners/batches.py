@@ -256,13 +256,6 @@ def map_scenes(scene_tasks: Sequence[SceneTask], workers: Workers, progress: Pro
             raise StoppedError("stopped")
         news.put(event)
 
-    def submit(scenes: list[SceneTask]) -> None:
-        batch = store.root, scenes, config.workers, refresh
-        label = scenes[0].scene + (f" and {len(scenes) - 1} more" if scenes[1:] else "")
-        future = workers.submit(run_batch, {"label": label, "pickled": pickle.dumps(batch)})
-        running[future] = scenes, workers.runner
-        future.add_done_callback(news.put)
-
     def collect(result: SceneResult) -> None:
         for event in result.events:
             progress.update(event)
@@ -292,11 +285,17 @@ def map_scenes(scene_tasks: Sequence[SceneTask], workers: Workers, progress: Pro
     with run_context(RunContext(store, notify=notify)), progress:
         try:
             while waiting or retried_singly or running:
-                while waiting and len(running) < config.workers:
+                while (waiting and len(running) < config.workers) or (
+                    retried_singly and not running
+                ):
                     size = max(1, min(MAX_BATCH, len(waiting) // (2 * config.workers)))
-                    submit([waiting.popleft() for _ in range(size)])
-                if retried_singly and not running:
-                    submit([retried_singly.popleft()])
+                    scenes = [(waiting or retried_singly).popleft() for _ in range(size)]
+                    batch = store.root, scenes, config.workers, refresh
+                    label = scenes[0].scene + (f" and {size - 1} more" if scenes[1:] else "")
+                    parameters = {"label": label, "pickled": pickle.dumps(batch)}
+                    future = workers.submit(run_batch, parameters)
+                    running[future] = scenes, workers.runner
+                    future.add_done_callback(news.put)
                 event = news.get()
                 if isinstance(event, StageEvent):
                     progress.update(event)

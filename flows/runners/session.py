@@ -36,6 +36,7 @@ from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.store import ArtifactStore, DamagedError
 
 Result = TypeVar("Result")
+Config = TypeVar("Config", bound=Any)
 
 RESULTS: list[Any] = []
 """Result of the last flow of this process, even if the server has not received it."""
@@ -47,8 +48,13 @@ MAX_ROWS = 500
 """Largest number of rows of a table artifact, which Prefect shows on one page."""
 
 
-def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Result]) -> Result:
-    """Do the work of a flow with its store, and repair damaged artifacts.
+def run_session(
+    command: str,
+    config: Config,
+    work: Callable[[Config, ArtifactStore, bool], Result],
+    verbose: bool,
+) -> Result:
+    """Do the work of a flow with its configuration and store, and repair damaged artifacts.
 
     An artifact that is found damaged is removed, and the work is repeated: that recomputes the
     artifact and finds the others in the store. A signal closes the tasks on an external server.
@@ -69,7 +75,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
     with record_provenance(Provenance(command)):
         while True:
             try:
-                result = work(store)
+                result = work(config, store, verbose)
                 if message := log_results(command, config.out, getattr(config, "models", None)):
                     logger.warning(message)
                     print(f"warning: {message}", file=sys.stderr)
