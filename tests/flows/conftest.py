@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from command import run, said, two_walls
 
+from slgaussian.storage.store import ArtifactStore
+
 
 @pytest.fixture
 def slg(monkeypatch, capsys):
@@ -41,6 +43,11 @@ def refusal(monkeypatch, capsys):
         return said(capsys)
 
     return call
+
+
+@pytest.fixture
+def store(tmp_path) -> ArtifactStore:
+    return ArtifactStore(tmp_path / "store")
 
 
 @pytest.fixture(scope="session")

@@ -17,36 +17,23 @@ from flows.runners.batches import (
 )
 from flows.runners.session import check_refresh
 from slgaussian.errors import InputError
-from slgaussian.storage.store import ArtifactStore, DamagedError, StoreError
+from slgaussian.storage.store import DamagedError, StoreError
 
 pytestmark = pytest.mark.usefixtures("server")
 
 
 @pytest.fixture
-def store(tmp_path):
-    return ArtifactStore(tmp_path / "store")
-
-
-class Runs:
-    """Runner of two scenes that lists the executed stages; all artifacts differ."""
-
-    def __init__(self, store, folder):
-        self.store, self.log = store, folder / "log"
-
-    def __call__(self, a=6, b=20, extra=1):
-        self.log.write_text("")
-        scenes = {
-            "a": tiny(a, extra, self.log),
-            "b": tiny(b, extra, self.log),
-        }
-        outcome = run_tiny(self.store, scenes)
-        assert outcome.failures == []
-        return outcome, sorted(self.log.read_text().splitlines())
-
-
-@pytest.fixture
 def runs(store, tmp_path):
-    return Runs(store, tmp_path)
+    """Run two scenes, all of whose artifacts differ; return outcome and executed stages."""
+    log = tmp_path / "log"
+
+    def run(a=6, b=20, extra=1):
+        log.write_text("")
+        outcome = run_tiny(store, {"a": tiny(a, extra, log), "b": tiny(b, extra, log)})
+        assert outcome.failures == []
+        return outcome, sorted(log.read_text().splitlines())
+
+    return run
 
 
 ALL = ["a add", "a halve", "a make", "b add", "b halve", "b make"]

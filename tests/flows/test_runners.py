@@ -47,11 +47,6 @@ def runner(kind, request):
     return request.getfixturevalue(kind) if kind in ("dask", "ray") else kind
 
 
-@pytest.fixture
-def store(tmp_path):
-    return ArtifactStore(tmp_path / "store")
-
-
 def artifacts(store: ArtifactStore) -> dict[str, bytes]:
     return files_below(Path(store.path), ("keys/", ".prefect/"))
 
