@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command import run, said, two_walls
+from command import read_error, run, two_walls
 
 from slgaussian.storage.store import ArtifactStore
 
@@ -40,7 +40,7 @@ def refusal(monkeypatch, capsys):
     def call(*words):
         capsys.readouterr()
         assert run(monkeypatch, *words) == 2
-        return said(capsys)
+        return read_error(capsys)
 
     return call
 
