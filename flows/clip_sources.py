@@ -163,7 +163,8 @@ def map_sources(
         outcome = map_scenes(tasks, workers, progress)
         computed |= outcome.refs
         failures += outcome.failures
-    refs, owners = {s.name: computed[s.name] for s in sources if s.name in computed}, {}
+    refs = {s.name: computed[s.name] for s in sources if s.name in computed}
+    owners = dict[str, str]()
     for name, stage_refs in refs.items():
         for stage, ref in stage_refs.items():
             failures += [Failure(stage=stage, **bad) for bad in ref.meta.get("left_out", ())]
