@@ -32,7 +32,6 @@ import pyarrow as pa
 import torch
 
 from benches.common.harness import parser, publish, table
-from benches.common.resident_memory import memory_status, reset_peak_memory
 from tests.small_files import FORMATS, new_folder, trial, verdict
 
 ROOM = 2**30
@@ -61,8 +60,14 @@ KINDS = {
 }
 
 
+def memory_status(name: str) -> int:
+    """Return bytes from /proc/self/status, such as ``VmRSS`` (resident) or ``VmHWM`` (its peak)."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
+
+
 def measure(name: str, number: int, seed: int, folder: Path) -> Outcome:
-    reset_peak_memory()
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak
     before, begun = memory_status("VmRSS"), time.process_time()
     kind, message = verdict(name, number, seed, folder)
     seconds = time.process_time() - begun

@@ -313,10 +313,9 @@ def main() -> None:
         run(args.run[0], Path(args.run[1]), Path(args.run[2]), 2)
     in_own_namespace(sys.argv[1:])
     work = args.work.resolve()
-    for left in ("cache", "storm.log", "moto.log"):
-        shutil.rmtree(work / left, ignore_errors=True)
-        if (work / left).is_file():
-            (work / left).unlink()
+    shutil.rmtree(work / "cache", ignore_errors=True)
+    for log in ("storm.log", "moto.log"):
+        (work / log).unlink(missing_ok=True)
     (work / "disk").mkdir(parents=True, exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(work / "disk")]
     subprocess.run(mount, check=True)

@@ -131,7 +131,7 @@ def interruptible() -> Iterator[None]:
 
 
 def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
-    """Call a flow that ends in :func:`flows.runners.session.final_state`; return its result.
+    """Call a flow that ends in :func:`flows.runners.session.final`; return its result.
 
     Also if that state is Failed. If the server fails after the work is done, e.g. because its disk
     is full, only the final state is lost.
