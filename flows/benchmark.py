@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,16 +23,16 @@ from flows.runners.batches import (
     Outcome,
     SceneTask,
     map_scenes,
-    map_with_progress,
+    state_after,
     write_failures,
 )
 from flows.runners.progress import Progress
 from flows.runners.session import (
     check_folder,
-    final_state,
+    check_refresh,
+    final,
     publish,
     run_session,
-    stages_to_refresh,
     writing,
 )
 from flows.runners.task_runners import Workers, open_workers
@@ -44,7 +44,7 @@ from flows.scene import (
     scene_task,
 )
 from flows.scenes import DATASET, PATH_SUBDIVISIONS, labelled_scenes, room_scene, seeds
-from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
+from flows.sweep import VIEWS, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.lineage import lineage_table
@@ -112,7 +112,7 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
         InputError: If there are no scenes, a component is unknown, or the store or the output
             folder cannot be written.
     """
-    result = run_session("run", config, lambda store: _score(config, store, verbose))
+    result = run_session("run", config, _score, verbose)
     message = f"report: {result.report}" if result.report else "no report"
     if result.report is not None:
         publish(PAGE, result.report, "Report with pictures")
@@ -120,111 +120,104 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
         publish(REPORT, page, "Report without pictures")
         scores = read_table(config.out / "scores.parquet").to_pylist()
         publish(SCORES, scores, "Scores by data set, method, protocol and metric, with intervals")
-    return final_state(message, result, result.failures, not result.results)
+    return final(state_after(message, result, result.failures, not result.results))
 
 
-def check(config: Settings, store: ArtifactStore) -> None:
-    """Check a run before the work; InputError as in :func:`score_scenes`."""
-    scenes, _ = scenes_of(config)
+def check(config: Settings, store: ArtifactStore) -> tuple[list[SceneSettings], list[str]]:
+    """Check a run before the work; return its scenes, and messages about them.
+
+    InputError as in :func:`score_scenes`.
+    """
+    scenes, notes = scenes_of(config)
     for settings in (config, *(variant.settings for variant in combinations(config))):
         settings.field_method.check()
     chosen_baselines(config.against)
-    stages_to_refresh(config, REFRESHABLE)
+    check_refresh(config, REFRESHABLE)
     store.check_writable()
     check_folder(config.out)
     check_places([scene.name for scene in scenes], config.out)
-
-
-def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
-    check(config, store)
-    scenes, notes = scenes_of(config)
-    variants, method = combinations(config), config.field_method
-    refresh = stages_to_refresh(config, REFRESHABLE)
-    limits = config.max_failures, config.only_missing
-    with open_workers(config.runner, config.workers, store, refresh, *limits) as workers:
-        progress = Progress(len(scenes), len(STAGES), verbose=verbose)
-        for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
-            progress.line(text)
-        computed = _compute(config, scenes, variants, workers, progress)
-    for scene, data in computed.manifest["data"].items():
-        for name, reason in data["left_out"].items():
-            progress.line(f"warning: {scene}: {name} is left out: {reason}")
-    with writing(config.out):
-        results = _write(config, store, computed)
-    page = None if computed.report is None else config.out / "report.html"
-    return RunResult(results, computed.failures, page, _example(computed, config.out))
+    return scenes, notes
 
 
 @dataclass
 class _Computed:
     """Artifacts of a run.
 
-    ``scored`` are the completed scenes. ``answers`` are the results of all their methods, ours
-    first, with the name of the scene and the seconds to build the field. ``fields`` are the fields
-    by scene, including scenes that failed later. ``stages`` has the costs of each stage when its
-    artifacts were computed, possibly in an earlier run. ``refs`` are the results of all stages, by
-    scene and method.
+    Attributes:
+        scored: The completed scenes.
+        refs: Results of all stages by scene and method, those of our method first; also of scenes
+            that failed later.
+        costs: Costs of each stage when its artifacts were computed, possibly in an earlier run.
     """
 
     scored: list[Scored]
-    answers: list[tuple[str, ArtifactRef, float]]
-    fields: dict[str, ArtifactRef]
-    stages: dict[str, StageCost]
-    manifest: dict[str, Any]
-    scenes: Sequence[SceneSettings]
     refs: dict[tuple[str, str], dict[str, ArtifactRef]]
+    costs: dict[str, StageCost]
+    manifest: dict[str, Any]
     failures: list[Failure]
     report: ArtifactRef | None = None
 
 
+def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
+    scenes, notes = check(config, store)
+    with open_workers(config, store) as workers:
+        progress = Progress(len(scenes), len(STAGES), verbose)
+        names = ", ".join(part.name for part in config.field_method.components)
+        for text in (f"with {names}", *notes):
+            progress.line(text)
+        computed = _compute(config, scenes, workers, progress)
+    for scene, data in computed.manifest["data"].items():
+        for name, reason in data["left_out"].items():
+            progress.line(f"warning: {scene}: {name} is left out: {reason}")
+    fields = {
+        scene: refs["field"]
+        for (scene, method), refs in computed.refs.items()
+        if method == config.method and "field" in refs
+    }
+    with writing(config.out):
+        results = _write(config, store, scenes, computed)
+        write_fields(store, fields, config.field_method.encoder.places(), config.out)
+    page = None if computed.report is None else config.out / "report.html"
+    return RunResult(results, computed.failures, page, _example(computed, fields, config.out))
+
+
 def _compute(
-    config: Settings,
-    scenes: Sequence[SceneSettings],
-    variants: Sequence[Combination],
-    workers: Workers,
-    progress: Progress,
+    config: Settings, scenes: Sequence[SceneSettings], workers: Workers, progress: Progress
 ) -> _Computed:
     """Run the pipelines of all scenes, the baselines and the sweep, and write the report."""
-    verbose = progress.verbose
-    with progress:
-        ours = map_scenes([scene_task(config, scene) for scene in scenes], workers, progress)
+
+    def compute(tasks: Sequence[SceneTask], stages: int, unit: str) -> Outcome:
+        return map_scenes(tasks, workers, Progress(len(tasks), stages, progress.verbose, unit=unit))
+
+    ours = map_scenes([scene_task(config, scene) for scene in scenes], workers, progress)
     complete = [scene for scene in scenes if scene.name in ours.refs]
-    tasks = baseline_tasks(config, complete, ours.refs)
-    answered = map_with_progress(tasks, workers, 1, "answers", verbose)
+    answered = compute(baseline_tasks(config, complete, ours.refs), 1, "answers")
+    variants, rows = combinations(config), chosen_baselines(config.against)
     tasks, refused = sweep_tasks(variants, complete)
-    swept = map_with_progress(tasks, workers, SWEPT_STAGES, "settings", verbose)
-    rows = chosen_baselines(config.against)
+    swept = compute(tasks, SWEPT_STAGES, "settings")
     methods = rows | {variant.name: variant.row for variant in variants}
-    further_refs = answered.refs | swept.refs
-    started = ours.partial | ours.refs
+    further_refs, started = answered.refs | swept.refs, ours.partial | ours.refs
     every = {(s.name, config.method): started[s.name] for s in scenes if s.name in started}
-    scored, answers = [], []
+    scored = []
     for name in (scene.name for scene in complete):
-        refs, other_refs = ours.refs[name], {}
-        answers.append((name, refs["benchmark"], _seconds_to_build(refs)))
+        refs, answers = ours.refs[name], dict[str, ArtifactRef]()
         for method in methods:
-            # Baselines answer from our field.
             if method_refs := further_refs.get(method_task_name(name, method)):
                 every[name, method] = method_refs
-                other_refs[method] = method_refs[baselines.name if method in rows else "benchmark"]
-                seconds = _seconds_to_build(refs if method in rows else method_refs)
-                answers.append((name, other_refs[method], seconds))
-        scored.append(
-            Scored(name, refs["benchmark"], refs["truth"], refs["attribution"], other_refs)
-        )
+                answers[method] = [*method_refs.values()][-1]  # of the last stage
+        scored.append(Scored(name, refs["benchmark"], refs["truth"], refs["attribution"], answers))
     costs = {stage.name: _cost(stage, ours) for stage in STAGES}
     stages = [*STAGES, report]
     if rows:
         costs[baselines.name] = _cost(baselines, answered)
         stages.append(baselines)
-    fields = {s.name: refs["field"] for s in scenes if "field" in (refs := started.get(s.name, {}))}
     failures = [*ours.failures, *answered.failures, *swept.failures, *refused]
     described = manifest(config, complete, stages, ours.refs, methods)
-    computed = _Computed(scored, answers, fields, costs, described, scenes, every, failures)
+    computed = _Computed(scored, every, costs, described, failures)
     if scored:
         arguments = scored, described, [asdict(failure) for failure in failures]
         last = SceneTask("all scenes", report, arguments, first="report")
-        outcome = map_with_progress([last], workers, 1, "report", verbose)
+        outcome = compute([last], 1, "report")
         failures += outcome.failures
         computed.report = outcome.refs.get("all scenes", {}).get("report")
     return computed
@@ -232,10 +225,6 @@ def _compute(
 
 def _cost(stage: Stage, outcome: Outcome) -> StageCost:
     return StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
-
-
-def _seconds_to_build(refs: Mapping[str, ArtifactRef]) -> float:
-    return sum(refs[stage].meta["seconds"] for stage in BUILDING_STAGES)
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -253,20 +242,30 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     return scenes, notes
 
 
-def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> list[SceneResult]:
-    """Write all outputs; return the results without images, of which there may be thousands."""
+def _write(
+    settings: Settings,
+    store: ArtifactStore,
+    scenes: Sequence[SceneSettings],
+    computed: _Computed,
+) -> list[SceneResult]:
+    """Write all outputs but fields; return the results without images, of which there are many."""
     out = settings.out
     write_failures(out, computed.failures)
     results, parts = list[SceneResult](), list[Rows]()
 
     def masks() -> Iterator[tuple[str, str, Masks]]:
-        for _, ref, seconds in computed.answers:
-            arrays = store.get(ref)
-            result = result_from_arrays(arrays)
-            results.append(replace(result, rows=Rows.from_rows(result.rows)))
-            answers = ({**row, "build_seconds": seconds} for row in ref.meta["costs"])
-            parts.append(Rows.from_rows(answers, "times"))
-            yield result.method, result.scene, predictions_of(arrays)
+        for scored in computed.scored:
+            for method, ref in {settings.method: scored.answer, **scored.others}.items():
+                refs = computed.refs[scored.scene, method]
+                if "field" not in refs:  # a baseline answers from our field
+                    refs = computed.refs[scored.scene, settings.method]
+                seconds = sum(refs[stage].meta["seconds"] for stage in BUILDING_STAGES)
+                arrays = store.get(ref)
+                result = result_from_arrays(arrays)
+                results.append(replace(result, rows=Rows.from_rows(result.rows)))
+                answers = ({**row, "build_seconds": seconds} for row in ref.meta["costs"])
+                parts.append(Rows.from_rows(answers, "times"))
+                yield result.method, result.scene, predictions_of(arrays)
 
     write_masks(masks(), out)
     rows = Rows.join(result.rows for result in results)
@@ -277,7 +276,7 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
     empty = load_spec("attribution").schema.empty_table()
     write_table("attribution", pa.concat_tables([empty, *lost]), out)
     write_table("lineage", lineage_table(computed.refs, computed.manifest["stages"]), out)
-    repeat = run_toml(settings, computed.scenes, computed.refs)
+    repeat = run_toml(settings, scenes, computed.refs)
     files = {"manifest.json": _json(computed.manifest), "run.toml": repeat}
     if settings.pairs is not None:
         files["pairs.json"] = settings.pairs.read_bytes()
@@ -289,7 +288,7 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
             "workers": str(settings.workers),
         }
         paper = settings.method if settings.preset == "paper" else ""
-        took = Times(computed.stages, host, costs_of(costs), paper)
+        took = Times(computed.costs, host, costs_of(costs), paper)
         pages = store.get(computed.report)
         names = {"html": "html", "md": "markdown"}
         forms = {form: pages[name].tobytes().decode() for form, name in names.items()}
@@ -304,11 +303,10 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
         else:
             # The file of an earlier run describes other scenes.
             (out / name).unlink(missing_ok=True)
-    write_fields(store, computed.fields, settings.field_method.encoder.places(), out)
     return results
 
 
-def _example(computed: _Computed, out: Path) -> str:
+def _example(computed: _Computed, fields: Iterable[str], out: Path) -> str:
     """Return a command that queries a field, to be pasted into a shell.
 
     It is for the first scene with an example query, preferring photographs to procedural rooms and
@@ -322,7 +320,7 @@ def _example(computed: _Computed, out: Path) -> str:
         is_room = computed.manifest["data"][scene]["dataset"] == DATASET
         return False, is_room, example["iou"] is None
 
-    scene = min(computed.fields, key=rank, default=None)
+    scene = min(fields, key=rank, default=None)
     if scene is None:
         return ""
     folder = field_place(scene, out)

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from flows.config import CorpusSettings
-from flows.runners.batches import Failure, Outcome, SceneTask, map_with_progress
+from flows.runners.batches import Failure, SceneTask, map_scenes
+from flows.runners.progress import Progress
 from flows.runners.task_runners import Workers
 from flows.scenes import folder_of, seeds
 from slgaussian.datasets import colmap, re10k
@@ -63,7 +64,7 @@ class Source:
         return Path(self.location).resolve().name if is_path else self.location
 
 
-def sources_of(texts: Sequence[str]) -> list[Source]:
+def find_sources(texts: Sequence[str]) -> list[Source]:
     """Return all scenes and chunks of the sources, in the given order.
 
     ``procedural:FIRST-LAST`` gives rooms, named ``procedural_FIRST`` and so on. Any other source
@@ -154,15 +155,16 @@ def map_sources(
     It is called with the content of a source and ``arguments``. Scenes have one more stage, packing
     as a chunk. Withdrawn clips have no owner.
     """
-    sources, withdrawn = sources_of(config.sources), config.withdrawn_clips()
-    outcome = Outcome()
+    sources, withdrawn = find_sources(config.sources), config.withdrawn_clips()
+    computed, failures = dict[str, dict[str, ArtifactRef]](), list[Failure]()
     for unit, first, extra in (("chunks", views, 0), ("scenes", packed, 1)):
         tasks = [t for t in source_tasks(sources, pipeline, arguments) if t.first == first.name]
-        part = map_with_progress(tasks, workers, stages + extra, unit, verbose)
-        outcome.refs |= part.refs
-        outcome.failures += part.failures
-    refs = {s.name: outcome.refs[s.name] for s in sources if s.name in outcome.refs}
-    failures, owners = outcome.failures, dict[str, str]()
+        progress = Progress(len(tasks), stages + extra, verbose, unit=unit)
+        outcome = map_scenes(tasks, workers, progress)
+        computed |= outcome.refs
+        failures += outcome.failures
+    refs = {s.name: computed[s.name] for s in sources if s.name in computed}
+    owners = dict[str, str]()
     for name, stage_refs in refs.items():
         for stage, ref in stage_refs.items():
             failures += [Failure(stage=stage, **bad) for bad in ref.meta.get("left_out", ())]

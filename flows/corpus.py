@@ -12,16 +12,10 @@ import pyarrow.parquet as pq
 from prefect import flow
 from prefect.states import State
 
-from flows.clip_sources import Clips, choose_samples, map_sources, sources_of
+from flows.clip_sources import Clips, choose_samples, find_sources, map_sources
 from flows.config import CorpusSettings
-from flows.runners.batches import Failure, write_failures
-from flows.runners.session import (
-    check_folder,
-    final_state,
-    run_session,
-    stages_to_refresh,
-    writing,
-)
+from flows.runners.batches import Failure, state_after, write_failures
+from flows.runners.session import check_folder, check_refresh, final, run_session, writing
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
@@ -48,15 +42,10 @@ class Prepared:
     rows: dict[str, int]
     failures: list[Failure]
 
-    @property
-    def empty(self) -> bool:
-        """Whether a table has no row."""
-        return not all(self.rows.values())
-
-    @property
-    def message(self) -> str:
-        """The rows of each table, as text."""
-        return ", ".join(f"{count} {stage}" for stage, count in self.rows.items())
+    def end(self) -> State[Prepared]:
+        """Return the final state; without a row in each table, nothing is left."""
+        message = ", ".join(f"{count} {stage}" for stage, count in self.rows.items())
+        return final(state_after(message, self, self.failures, not all(self.rows.values())))
 
 
 @flow(name="slgaussian-ingest", flow_run_name="ingest {config.out.name}", persist_result=False)
@@ -69,15 +58,14 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
     Raises:
         InputError: If a source is missing, or the store or the output folder cannot be written.
     """
+    return run_session("ingest", config, _ingest, verbose).end()
 
-    def work(store: ArtifactStore) -> Prepared:
-        arguments = Bounds.of(config), config.trust_cameras, TARGETS
-        prepared, clips = _prepare(config, store, INGEST, choose_samples, arguments, verbose)
-        _write_chunks(config.out / "chunks", clips, store)
-        return prepared
 
-    prepared = run_session("ingest", config, work)
-    return final_state(prepared.message, prepared, prepared.failures, prepared.empty)
+def _ingest(config: CorpusSettings, store: ArtifactStore, verbose: bool) -> Prepared:
+    arguments = Bounds.of(config), config.trust_cameras, TARGETS
+    prepared, clips = _prepare(config, store, INGEST, choose_samples, arguments, verbose)
+    _write_chunks(config.out / "chunks", clips, store)
+    return prepared
 
 
 @flow(
@@ -89,8 +77,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
     Raises:
         InputError: As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
-    prepared = run_session("supervise", config, lambda store: supervise(config, store, verbose))
-    return final_state(prepared.message, prepared, prepared.failures, prepared.empty)
+    return run_session("supervise", config, supervise, verbose).end()
 
 
 def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
@@ -123,7 +110,7 @@ def make_lessons(
 
 def check(config: CorpusSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`ingest_corpus`."""
-    sources_of(config.sources)
+    find_sources(config.sources)
     config.withdrawn_clips()
     store.check_writable()
     check_folder(config.out)
@@ -139,9 +126,8 @@ def _prepare(
 ) -> tuple[Prepared, Clips]:
     """Run a pipeline with these stages on all sources, and write their tables."""
     check(config, store)
-    refresh = stages_to_refresh(config, (packed.name, *stages))
-    limits = config.max_failures, config.only_missing
-    with open_workers(config.runner, config.workers, store, refresh, *limits) as workers:
+    check_refresh(config, (packed.name, *stages))
+    with open_workers(config, store) as workers:
         clips = map_sources(config, workers, pipeline, arguments, len(stages), verbose)
     with writing(config.out):
         rows = {

@@ -8,7 +8,7 @@ is the unit of work, of caching and of failure. Then the samples are written to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +16,11 @@ from prefect import flow
 from prefect.states import State
 
 from flows import corpus
-from flows.clip_sources import Clips, Source, choose_samples, map_sources, sources_of
+from flows.clip_sources import Clips, Source, choose_samples, find_sources, map_sources
 from flows.config import DatasetSettings
-from flows.runners.batches import Failure, SceneTask, map_with_progress, write_failures
-from flows.runners.session import final_state, run_session, stages_to_refresh, writing
+from flows.runners.batches import Failure, SceneTask, map_scenes, state_after, write_failures
+from flows.runners.progress import Progress
+from flows.runners.session import check_refresh, final, run_session, writing
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets.configs import Bounds
@@ -28,7 +29,6 @@ from slgaussian.datasets.leaks import check_shards
 from slgaussian.datasets.scene_grouping import VIEW_COLUMNS, Places
 from slgaussian.datasets.set_versions import add_version, read_versions
 from slgaussian.datasets.shards import (
-    Written,
     read_index,
     retire_shards,
     write_index,
@@ -51,26 +51,6 @@ SETTINGS = (
     "trust_cameras", "licences",
 )  # fmt: skip
 """Settings of a version of the set besides those of the method and the choice of samples."""
-
-
-@dataclass(frozen=True)
-class Finished:
-    """A computed sample: artifact of spec ``example``, place and split."""
-
-    ref: ArtifactRef
-    place: str
-    split: str
-
-    @property
-    def name(self) -> str:
-        """Name of the sample."""
-        return self.ref.meta["about"]["sample"]
-
-    def row(self, source: str, licence: str) -> dict[str, Any]:
-        """Return its row of the index, without its position in a shard."""
-        meta = self.ref.meta
-        place = {"place": self.place, "split": self.split, "source": source, "licence": licence}
-        return {**meta["about"], **place, "bytes": meta["length"], "digest": meta["sha256"]}
 
 
 @dataclass(frozen=True)
@@ -102,15 +82,16 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
         InputError: If a source is missing, a component is unknown, a licence is of no source, no
             sample is left, the split leaks, or the store or the folder cannot be written.
     """
-    result = run_session("dataset", config, lambda store: _make(config, store, verbose))
-    return final_state(f"{result.samples} samples in {config.out}", result, result.failures)
+    result = run_session("dataset", config, _make, verbose)
+    message = f"{result.samples} samples in {config.out}"
+    return final(state_after(message, result, result.failures, nothing_left=False))
 
 
 def check(config: DatasetSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`make_training_set`."""
     config.field_method.check()
     corpus.check(config, store)
-    sources = sources_of(config.sources)
+    sources = find_sources(config.sources)
     for name in config.licences:
         if not any(_has_name(source, name) for source in sources):
             titles = list(dict.fromkeys(source.title for source in sources))
@@ -127,28 +108,28 @@ def _has_name(source: Source, name: str) -> bool:
 def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> TrainingSetResult:
     check(config, store)
     stages = packed, views, pairs, *SAMPLES
-    refresh = stages_to_refresh(config, [stage.name for stage in stages])
-    limits = config.max_failures, config.only_missing
-    with open_workers(config.runner, config.workers, store, refresh, *limits) as workers:
+    check_refresh(config, [stage.name for stage in stages])
+    with open_workers(config, store) as workers:
         arguments = Bounds.of(config), config.trust_cameras, config.targets
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         places = Places()
         tasks = _sample_tasks(config, clips, store, places)
-        outcome = map_with_progress(tasks, workers, len(SAMPLES), "samples", verbose)
-    results = [outcome.refs[name][example.name] for name in sorted(outcome.refs)]
-    owned = {ref.meta["about"]["clip"] for ref in results}
+        progress = Progress(len(tasks), len(SAMPLES), verbose, unit="samples")
+        outcome = map_scenes(tasks, workers, progress)
+    samples = {name: outcome.refs[name][example.name] for name in sorted(outcome.refs)}
+    owned = {ref.meta["about"]["clip"] for ref in samples.values()}
     # What was held out stays so: a network of an earlier set may have learnt the rest.
     split = assign_split(places, owned, config.held_out, read_split(config.out), winner=TEST)
-    finished = [
-        Finished(ref, split.places[clip], split.sides[clip])
-        for ref in results
-        if (clip := ref.meta["about"]["clip"]) in split.sides
+    rows = [
+        _index_row(config, ref.meta, split, clips)
+        for ref in samples.values()
+        if ref.meta["about"]["clip"] in split.sides
     ]
     leaking = [Failure(c, "split", "InputError", why) for c, why in split.left_out.items()]
     failures = clips.failures + outcome.failures + leaking
     with writing(config.out):
         write_failures(config.out, failures)
-    if not finished:
+    if not rows:
         raise InputError(
             f"{config.out}: no sample is left of the sources; the reasons are in "
             f"{config.out / 'failures.parquet'}"
@@ -161,46 +142,41 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
         },
         "stages": {stage.name: stage.version for stage in stages},
     }
-    version, written = _write(config, finished, split, clips, failures, settings, store)
-    places_left = {item.place for item in finished}
-    sizes = len(finished), len(places_left), len(written.shards), len(written.new), written.bytes
-    return TrainingSetResult(version, *sizes, failures, split.summary)
-
-
-def _write(
-    config: DatasetSettings,
-    finished: Sequence[Finished],
-    split: Split,
-    clips: Clips,
-    failures: Sequence[Failure],
-    settings: Mapping[str, Any],
-    store: ArtifactStore,
-) -> tuple[int, Written]:
-    """Write a version of the set; return its number, and the shards.
-
-    Readers see it when its index is written, which is last but for what describes it.
-    """
-    out, refs, rows = config.out, {item.name: item.ref for item in finished}, []
-    for item in finished:
-        source = clips.sources[clips.owners[item.ref.meta["about"]["clip"]]]
-        named = (text for name, text in config.licences.items() if _has_name(source, name))
-        rows.append(item.row(source.title, next(named, UNKNOWN)))
+    refused = {failure.scene: failure.reason for failure in reversed(failures)}
+    withdrawn, out = config.withdrawn_clips(), config.out
 
     def read(sample: str) -> bytes:
-        return store.get(refs[sample])["tar"].tobytes()
+        return store.get(samples[sample])["tar"].tobytes()
 
-    refused = {failure.scene: failure.reason for failure in reversed(failures)}
-    withdrawn = config.withdrawn_clips()
     with writing(out):
         before, used = read_index(out), {n for v in read_versions(out) for n in v["shards"]}
         written = write_shards(out, rows, read, config.shard_mb * 1e6, used)
         check_shards(out, written.index, written.new)
         split.write(out)
         manifest = add_version(out, before, written, settings, withdrawn, refused, clips.owners)
-        write_index(out, written.index)
+        write_index(out, written.index)  # from now on readers see this version
         retire_shards(out, written.shards, config.keep_old_days)
         describe_set(out, manifest)
-    return manifest["version"], written
+    counts = len(rows), len({row["place"] for row in rows}), len(written.shards), len(written.new)
+    return TrainingSetResult(manifest["version"], *counts, written.bytes, failures, split.summary)
+
+
+def _index_row(
+    config: DatasetSettings, meta: Mapping[str, Any], split: Split, clips: Clips
+) -> dict[str, Any]:
+    """Return the row of a sample in the index, without its position in a shard."""
+    clip = meta["about"]["clip"]
+    source = clips.sources[clips.owners[clip]]
+    licences = (text for name, text in config.licences.items() if _has_name(source, name))
+    return {
+        **meta["about"],
+        "place": split.places[clip],
+        "split": split.sides[clip],
+        "source": source.title,
+        "licence": next(licences, UNKNOWN),
+        "bytes": meta["length"],
+        "digest": meta["sha256"],
+    }
 
 
 def make_example(

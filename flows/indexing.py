@@ -38,7 +38,7 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
     for name, options, place in label_places(data, labels, settings.format):
         scene = datasets.load(settings.format, data, **options)
         frames = labelled_frames((labels or data) / place)
-        for frame, pair in _surrounded(scene, frames, rule).items():
+        for frame, pair in _choose_pairs(scene, frames, rule).items():
             pair_name = f"{name}-{frame.replace('/', '-')}"
             if pair_name in pairs or pair_name in left_out:
                 raise InputError(
@@ -81,7 +81,7 @@ def label_places(
             yield name, options, place
 
 
-def _surrounded(
+def _choose_pairs(
     scene: Scene, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, dict[str, Any] | str]:
     """Return fields of the :class:`ScenePair` of every labelled frame, or the reason of none."""

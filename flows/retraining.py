@@ -107,7 +107,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     check_folder(config.out)
     try:
         with hold_lock(config.out / LOCK, "retrain"), hold_lock(config.models / LOCK, "retrain"):
-            result = run_session("retrain", config, lambda store: _retrain(config, store, verbose))
+            result = run_session("retrain", config, _retrain, verbose)
     except BusyError as error:
         result = Retraining("busy", (str(error),))
     type, name = STATE_TYPES[result.outcome], result.outcome.title().replace(" ", "")

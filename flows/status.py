@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flows.benchmark import SWEPT_STAGES, scenes_of
-from flows.clip_sources import source_tasks, sources_of
+from flows.clip_sources import find_sources, source_tasks
 from flows.config import CorpusSettings, Settings
 from flows.corpus import lesson_arguments, make_lessons
 from flows.runners.batches import SceneResult, look_up_scenes
@@ -38,7 +38,7 @@ def look_up(
 
     if isinstance(config, CorpusSettings):
         pipeline = make_lessons, lesson_arguments(config)
-        results = look_up_scenes(source_tasks(sources_of(config.sources), *pipeline), store)
+        results = look_up_scenes(source_tasks(find_sources(config.sources), *pipeline), store)
         return [(results, versions((packed, views, pairs, predictions, lessons)))]
     scenes, _ = scenes_of(config)
     ours = look_up_scenes([scene_task(config, scene) for scene in scenes], store)

@@ -14,9 +14,9 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import RetrainSettings, TrainSettings
-from flows.runners.batches import SceneTask, compute_scene
+from flows.runners.batches import SceneTask, compute_scene, state_after
 from flows.runners.progress import Progress
-from flows.runners.session import check_folder, final_state, run_session, writing
+from flows.runners.session import check_folder, final, run_session, writing
 from slgaussian import __version__
 from slgaussian.datasets.leaks import check_views
 from slgaussian.datasets.scene_grouping import Places, read_views
@@ -97,8 +97,9 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
         InputError: If there are too few lessons, they are not in the store, the initial weights
             cannot be used, the training fails, or a file cannot be written.
     """
-    trained = run_session("train", config, lambda store: _train(config, store, verbose))
-    return final_state(f"weights: {config.out / FILES['weights']}", trained)
+    trained = run_session("train", config, _train, verbose)
+    message = f"weights: {config.out / FILES['weights']}"
+    return final(state_after(message, trained, (), nothing_left=False))
 
 
 def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Trained:
@@ -221,9 +222,10 @@ def train_on(
     tables = [store.put("lessons", table) for table in lessons.tables().values()]
     task = SceneTask("branch", learn_and_judge, (*tables, began, settings, manifest))
     with Progress(1, len(STAGES), verbose=verbose) as progress:
-        artifacts, failure = compute_scene(task, store, 1, progress.update)
-    if failure is not None:
-        raise InputError(failure.reason)
+        result = compute_scene(task, store, 1, progress.update)
+    if result.failure is not None:
+        raise InputError(result.failure.reason)
+    artifacts = result.refs
     course = ArtifactRef("metrics", **artifacts["train"].meta["metrics"])
     metrics, judgements = store.get(course), store.get(artifacts["judge"])
     last = metrics["loss"].to_numpy()[-max(1, metrics.num_rows // LOSS_TAIL) :]

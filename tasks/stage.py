@@ -30,7 +30,7 @@ from slgaussian.kernels import compiling, threads
 from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.records import NotStoredError, Records
 from slgaussian.storage.store import ArtifactRef, DamagedError
-from tasks.context import RunContext, StageEvent, current_run
+from tasks.context import StageEvent, current_run
 
 
 def cache_key(stage: str, version: int, arguments: Mapping[str, Any]) -> str:
@@ -165,17 +165,10 @@ class Stage:
     ) -> StageResult:
         """Run as a Prefect task, with ``inputs`` for its graph."""
         run = current_run()
-        ref = self._compute_with_costs(run, arguments)
-        Records(run.store).keep(run.key, ref)
-        if refresh:
-            ref = replace(ref, meta={**ref.meta, "refreshed": True})
-        return StageResult(ref)
-
-    def _compute_with_costs(self, run: RunContext, arguments: Mapping[str, Any]) -> ArtifactRef:
-        inputs = {n: value for n, value in arguments.items() if isinstance(value, ArtifactRef)}
-        settings = {n: canonical(value, n) for n, value in arguments.items() if n not in inputs}
-        specs = {name: ref.spec for name, ref in inputs.items()}
-        digests = {name: ref.digest for name, ref in inputs.items()}
+        refs = {n: value for n, value in arguments.items() if isinstance(value, ArtifactRef)}
+        settings = {n: canonical(value, n) for n, value in arguments.items() if n not in refs}
+        specs = {name: ref.spec for name, ref in refs.items()}
+        digests = {name: ref.digest for name, ref in refs.items()}
         passed = frozenset(digests.values())
         provenance = Provenance(self.name, self.version, settings, specs, passed)
         threads.limit(run.workers)
@@ -193,7 +186,11 @@ class Stage:
             "compiling": compiling.spent() - compiled,
             "workers": run.workers,
         }
-        return replace(ref, meta={**ref.meta, "settings": settings, "inputs": digests, **cost})
+        ref = replace(ref, meta={**ref.meta, "settings": settings, "inputs": digests, **cost})
+        Records(run.store).keep(run.key, ref)
+        if refresh:
+            ref = replace(ref, meta={**ref.meta, "refreshed": True})
+        return StageResult(ref)
 
 
 def stage(name: str, version: int) -> Callable[[Callable[..., ArtifactRef]], Stage]:

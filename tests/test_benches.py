@@ -22,7 +22,7 @@ def test_bench_imports_without_error(bench):
 
 
 def test_publish_replaces_only_its_block_of_a_page(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(harness, "measured", lambda: "Measured today.")
+    monkeypatch.setattr(harness, "describe_measurement", lambda: "Measured today.")
     page = tmp_path / "words.md"
     page.write_text("# Words\n\n<!-- a -->\nold\n<!-- end of a -->\n\nWritten by hand.\n")
     rows = [{"name": "one", "seconds": 0.01234, "off": 0.00123}, {"name": "two"}]

@@ -100,7 +100,7 @@ def colmap(views: Sequence[View]) -> Answer:
         return out
 
 
-def errors_of(chain: PosedChain, answer: Answer) -> dict[str, Any]:
+def compute_errors(chain: PosedChain, answer: Answer) -> dict[str, Any]:
     """Compute the errors of all pairs in degrees, and the relative error of the focal length."""
     errors = []
     for i, j in itertools.combinations(range(len(chain.views)), 2):
@@ -159,7 +159,7 @@ def main() -> None:
             answer = call(chain.views)
             seconds = time.process_time() - start
             row = {"group": chain.group, "name": chain.name, "method": method}
-            rows.append(row | errors_of(chain, answer) | {"seconds": seconds})
+            rows.append(row | compute_errors(chain, answer) | {"seconds": seconds})
             print(f"  {chain.name} {method}: {rows[-1]['placed']}/{rows[-1]['views']}", flush=True)
     if args.rows:
         args.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))

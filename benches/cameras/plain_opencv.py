@@ -40,7 +40,7 @@ def relative_pose(
     return R, t[:, 0]
 
 
-def guessed(width: int, height: int, factor: float = 1.2) -> np.ndarray:
+def guess_intrinsics(width: int, height: int, factor: float = 1.2) -> np.ndarray:
     """Return intrinsics with COLMAP's default focal length."""
     focal = factor * max(width, height)
     return np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])

@@ -63,20 +63,20 @@ in their interval, and 1 for a doubted answer."""
 Method = Callable[[View, View], Answer | None]
 
 
-def opencv_known(a: View, b: View) -> Answer | None:
+def opencv_with_focals(a: View, b: View) -> Answer | None:
     at_a, at_b = plain_opencv.matches(a.image, b.image)
     pose = plain_opencv.relative_pose(at_a, at_b, a.camera.K, b.camera.K)
     return pose and Answer(*pose)
 
 
-def opencv_guessed(a: View, b: View) -> Answer | None:
+def opencv_without_focals(a: View, b: View) -> Answer | None:
     at_a, at_b = plain_opencv.matches(a.image, b.image)
-    K_a, K_b = (plain_opencv.guessed(v.camera.width, v.camera.height) for v in (a, b))
+    K_a, K_b = (plain_opencv.guess_intrinsics(v.camera.width, v.camera.height) for v in (a, b))
     pose = plain_opencv.relative_pose(at_a, at_b, K_a, K_b)
     return pose and Answer(*pose, (K_a[0, 0], K_b[0, 0]))
 
 
-def poselib_known(a: View, b: View) -> Answer | None:
+def poselib_with_focals(a: View, b: View) -> Answer | None:
     import poselib
 
     at_a, at_b = plain_opencv.matches(a.image, b.image)
@@ -95,10 +95,10 @@ def poselib_known(a: View, b: View) -> Answer | None:
     return Answer(pose.R, pose.t)
 
 
-def ours_known(a: View, b: View) -> Answer | None:
+def ours_with_focals(a: View, b: View) -> Answer | None:
     K = [view.camera.K for view in (a, b)]
     # Crop so that the principal point is in the centre, as our method assumes.
-    images = [_centred(view.image, *k[:2, 2]) for view, k in zip((a, b), K, strict=True)]
+    images = [_crop_around(view.image, *k[:2, 2]) for view, k in zip((a, b), K, strict=True)]
     described = (
         Described.of(Photograph(name, image, image.shape[1], image.shape[0]))
         for name, image in zip("ab", images, strict=True)
@@ -110,7 +110,7 @@ def ours_known(a: View, b: View) -> Answer | None:
     return Answer(pose.views.R, pose.views.t, doubted=pose.estimate.verdict == DOUBTFUL)
 
 
-def _centred(image: np.ndarray, x: float, y: float) -> np.ndarray:
+def _crop_around(image: np.ndarray, x: float, y: float) -> np.ndarray:
     """Return the largest crop of an image centred at (x, y), up to half a pixel."""
     (height, width), (right, down) = image.shape[:2], np.round(2 * np.array([x, y])).astype(int)
     left, top = max(0, right - width), max(0, down - height)
@@ -139,12 +139,12 @@ def ours(a: View, b: View) -> Answer | None:
 
 def methods() -> dict[str, Method]:
     available: dict[str, Method] = {
-        "OpenCV, K known": opencv_known,
-        "OpenCV, f = 1.2 max(w, h)": opencv_guessed,
+        "OpenCV, K known": opencv_with_focals,
+        "OpenCV, f = 1.2 max(w, h)": opencv_without_focals,
     }
     if importlib.util.find_spec("poselib"):
-        available["poselib, K known"] = poselib_known
-    return {**available, "ours, K known": ours_known, "ours, focal unknown": ours}
+        available["poselib, K known"] = poselib_with_focals
+    return {**available, "ours, K known": ours_with_focals, "ours, focal unknown": ours}
 
 
 def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:

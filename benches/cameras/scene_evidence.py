@@ -165,7 +165,7 @@ def fit(X: np.ndarray, right: np.ndarray) -> np.ndarray:
     return minimize(loss, np.zeros(X.shape[1] + 1)).x
 
 
-def cross_validated(X: np.ndarray, right: np.ndarray, parts: int = 10) -> np.ndarray:
+def cross_validate(X: np.ndarray, right: np.ndarray, parts: int = 10) -> np.ndarray:
     """Return the probability of each row, from a fit to the rows of the other folds."""
     part = np.random.default_rng(0).permutation(len(X)) % parts
     out = np.empty(len(X))
@@ -195,7 +195,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], st
     X = np.stack([np.log(clipped / (1 - clipped)), [row["clash"] for row in answered]], 1)
     lines = [
         reliability("matches alone", matches, right),
-        reliability("matches and clash", cross_validated(X, right), right),
+        reliability("matches and clash", cross_validate(X, right), right),
     ]
     coefficients = ", ".join(f"{w:.2f}" for w in fit(X, right))
     hard = [row for row in answered if row["group"] == "hard rooms"]

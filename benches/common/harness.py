@@ -45,7 +45,7 @@ def parser(doc: str | None, page: str = "") -> argparse.ArgumentParser:
     return arguments
 
 
-def measured() -> str:
+def describe_measurement() -> str:
     """Return date, commit and machine as a sentence, which begins each block of a page.
 
     Raises:
@@ -110,7 +110,7 @@ def publish(out: Path | None, page: str, command: str, *parts: str) -> None:
         command: Command that repeats this, such as ``python -m benches.language.words_known DATA``.
     """
     name = command.split()[2].rpartition(".")[2]
-    stamp = measured().removesuffix(".") + f", by `{command}`."
+    stamp = describe_measurement().removesuffix(".") + f", by `{command}`."
     block = "\n\n".join((f"<!-- {name} -->", stamp, *parts, f"<!-- end of {name} -->"))
     print(block)
     if out is None:

@@ -39,18 +39,20 @@ READ: dict[str, tuple[Callable, Callable[[Path], Gaussians]]] = {
 }
 
 
-def rows_of(name: str, field: SemanticField, browser: Browser, folder: Path) -> Iterator[dict]:
+def measure_formats(
+    name: str, field: SemanticField, browser: Browser, folder: Path
+) -> Iterator[dict]:
     """Yield a row per format: bytes, and the error of renderings after reloading it."""
     cameras = list(field.cameras.values())
     middle = between(cameras[0], cameras[-1], 0.5)
-    true = [_drawn(field.gaussians, camera) for camera in (*cameras, middle)]
+    true = [_draw(field.gaussians, camera) for camera in (*cameras, middle)]
     common = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
     for suffix, (save, load) in READ.items():
         file = folder / f"scene{suffix}"
         save(field.gaussians, file)
         reloaded = load(file)
         errors = [
-            psnr(_drawn(reloaded, camera), original)
+            psnr(_draw(reloaded, camera), original)
             for camera, original in zip((*cameras, middle), true, strict=True)
         ]
         yield common | _row(suffix, file, min(errors[:-1]), errors[-1])
@@ -77,7 +79,7 @@ def _row(suffix: str, file: Path, context: float, novel: float) -> dict:
     return {"format": suffix, "megabytes": megabytes, "context": context, "between": novel}
 
 
-def _drawn(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+def _draw(gaussians: Gaussians, camera: Camera) -> np.ndarray:
     picture = rasterize(gaussians, None, camera).values.numpy()
     return np.rint(picture.clip(0, 1) * 255).astype(np.uint8)
 
@@ -108,7 +110,7 @@ def main() -> None:
     with Browser() as browser, tempfile.TemporaryDirectory() as folder:
         for name, sample in samples.items():
             field = build_field(sample, Method())
-            for row in rows_of(name, field, browser, Path(folder)):
+            for row in measure_formats(name, field, browser, Path(folder)):
                 rows.append(row | {"bytes": row["megabytes"] * 1e6 / row["gaussians"]})
                 print(rows[-1], flush=True)
     publish(args.out, "exports.md", "python -m benches.formats.exported DATA", table(rows, COLUMNS))

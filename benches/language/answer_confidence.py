@@ -24,7 +24,7 @@ from scipy.special import expit
 
 from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
-from benches.scores.scene_sets import PLACES, THINGS, built, labelled, read
+from benches.scores.scene_sets import PLACES, THINGS, build_fields, find_labelled, read
 from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.errors import InputError
@@ -99,13 +99,13 @@ def answers(place: str, scene: SceneSettings, seeds: Sequence[int]) -> Iterator[
     assert scene.labels is not None
     target = sample.targets[0]
     truth = read_truth(scene.labels, scene.categories, sample.targets).masks[target.name]
-    for inputs in built(sample, seeds):
+    for inputs in build_fields(sample, seeds):
         object_map = ObjectMap(inputs.field.render(target.camera).ids, inputs.bank.ids)
-        for answer in answered(place, object_map, inputs.field.reader, truth):
+        for answer in answer_labels(place, object_map, inputs.field.reader, truth):
             yield Row(place, scene.name, inputs.seed, *answer)
 
 
-def answered(
+def answer_labels(
     place: str, object_map: ObjectMap, reader: BankReader, truth: Mapping[str, np.ndarray]
 ) -> Iterator[tuple]:
     """Yield the fields of a :class:`Row`, from ``text`` on, for each text asked at a place.
@@ -134,13 +134,13 @@ def answered(
 def weights(rows: Sequence[Row]) -> np.ndarray:
     """Return weights float64 [M], equal in sum over kinds, places, and present or absent."""
     groups = Counter((row.place, row.present) for row in rows)
-    places = Counter(kind_of(place) for place in {row.place for row in rows})
+    places = Counter(find_kind(place) for place in {row.place for row in rows})
     return np.array(
-        [1 / groups[row.place, row.present] / places[kind_of(row.place)] for row in rows]
+        [1 / groups[row.place, row.present] / places[find_kind(row.place)] for row in rows]
     )
 
 
-def kind_of(place: str) -> str:
+def find_kind(place: str) -> str:
     """Return the kind of a place: office, places or things."""
     return place if place == "office" else "things" if place in THINGS else "places"
 
@@ -150,7 +150,7 @@ def signs(rows: Sequence[Row], on: Sequence[str]) -> np.ndarray:
     return np.array([[*(getattr(row, name) for name in on), 1.0] for row in rows])
 
 
-def fitted(rows: Sequence[Row], measure: str, predictors: Sequence[str] = PREDICTORS) -> np.ndarray:
+def fit(rows: Sequence[Row], measure: str, predictors: Sequence[str] = PREDICTORS) -> np.ndarray:
     """Fit the logistic curve of ``mask`` or ``point`` with a weak ridge: float64 [S + 1]."""
     X, w = signs(rows, predictors), weights(rows)
     right = np.array([getattr(row, measure) for row in rows])
@@ -171,7 +171,7 @@ def left_out(rows: Sequence[Row], measure: str, on: Sequence[str] = PREDICTORS) 
     for place in {row.place for row in rows}:
         in_place = np.array([row.place == place for row in rows])
         training = [row for row in rows if row.place != place]
-        out[in_place] = expit(signs(rows, on)[in_place] @ fitted(training, measure, on))
+        out[in_place] = expit(signs(rows, on)[in_place] @ fit(training, measure, on))
     return out
 
 
@@ -198,7 +198,7 @@ def bins(p: np.ndarray, right: np.ndarray, w: np.ndarray, count: int = 10) -> li
     ]
 
 
-def judged(rows: Sequence[Row], measure: str, predictors: Sequence[str] = PREDICTORS) -> dict:
+def judge(rows: Sequence[Row], measure: str, predictors: Sequence[str] = PREDICTORS) -> dict:
     """Evaluate the cross-validated probabilities of ``mask`` or ``point``."""
     p, w = left_out(rows, measure, predictors), weights(rows)
     right = np.array([getattr(row, measure) for row in rows])
@@ -211,7 +211,7 @@ def judged(rows: Sequence[Row], measure: str, predictors: Sequence[str] = PREDIC
     error = sum(decile["share"] * abs(decile["said"] - decile["right"]) for decile in curve)
     return {
         "what": measure,
-        "constants": fitted(rows, measure, predictors),
+        "constants": fit(rows, measure, predictors),
         "auroc": auroc(p, right, w),
         "error": error,
         "by_place": by_place,
@@ -227,7 +227,7 @@ def verdicts(rows: Sequence[Row]) -> list[dict]:
         for curve in shipped
     )
     present, w = np.array([row.present for row in rows]), weights(rows)
-    kinds = np.array([kind_of(row.place) for row in rows])
+    kinds = np.array([find_kind(row.place) for row in rows])
     denied = point < MIN_POINT_PROBABILITY
     accepted = ~denied & (mask >= 0.5)
 
@@ -258,9 +258,9 @@ def main() -> None:
     rows = [Row(*json.loads(line)) for line in stored]
     done = {(row.place, row.scene, row.seed) for row in rows}
     for place in ALL_PLACES:
-        kind = kind_of(place)
+        kind = find_kind(place)
         folder = place if kind == place else f"{kind}/{place}"
-        for scene in labelled([folder], args.data):
+        for scene in find_labelled([folder], args.data):
             seeds = [s for s in range(args.seeds) if (place, scene.name, s) not in done]
             new = list(answers(place, scene, seeds)) if seeds else []
             rows += new
@@ -268,7 +268,7 @@ def main() -> None:
                 with args.rows.open("a") as file:
                     file.writelines(json.dumps(row) + "\n" for row in new)
             print(f"{place} {scene.name}: {len(new)} answers", flush=True)
-    both = [judged(rows, measure) for measure in ("mask", "point")]
+    both = [judge(rows, measure) for measure in ("mask", "point")]
     columns = {"what": ("probability that it is right", str)}
     columns |= {"auroc": ("AUROC", ".3f"), "error": ("calibration error", ".3f")}
     columns |= {place: (place, ".2f") for place in both[0]["by_place"]}

@@ -21,7 +21,7 @@ import torch
 
 from benches.common.harness import parser, table
 from benches.common.photograph_pairs import data_folder
-from benches.scores.scene_sets import SETS, SHEETS, built, read, truth_of
+from benches.scores.scene_sets import SETS, SHEETS, build_fields, read, read_truth_of_scene
 from flows.config import SceneSettings, Settings
 from flows.scenes import room_scene
 from slgaussian.errors import InputError
@@ -51,8 +51,8 @@ class Question:
 def questions(kind: str, scene: SceneSettings) -> list[Question]:
     """Query all labelled texts of a scene; an unusable text has one candidate of IoU 0."""
     sample = read(scene, Settings())
-    truth = truth_of(scene, sample)
-    (inputs,) = built(sample, [0])
+    truth = read_truth_of_scene(scene, sample)
+    (inputs,) = build_fields(sample, [0])
     field, rules, collected = inputs.field, Rules(), []
     place = scene.name if kind == "rooms" else f"{kind}/{scene.dataset}"
     for target in sample.targets:

@@ -32,7 +32,7 @@ def class_names(data: Path) -> dict[str, list[str]]:
     return lists
 
 
-def row_of(title: str, vocabulary: Vocabulary, names: Sequence[str]) -> dict[str, object]:
+def count(title: str, vocabulary: Vocabulary, names: Sequence[str]) -> dict[str, object]:
     """Return the shares of names that are rejected, or understood in part."""
     refused, in_part, no_thing = [], 0, 0
     for name in names:
@@ -65,7 +65,7 @@ def main() -> None:
     args = arguments.parse_args()
     vocabulary = load_vocabulary()
     nouns = len({word.name for word in vocabulary.words.values() if word.family in NOUN_FAMILIES})
-    rows = [row_of(TITLES[key], vocabulary, names) for key, names in class_names(args.data).items()]
+    rows = [count(TITLES[key], vocabulary, names) for key, names in class_names(args.data).items()]
     publish(
         args.out,
         "words.md",

@@ -315,7 +315,7 @@ def rows_of_views(rooms: int) -> list[dict]:
     ]
 
 
-def table_of(cells: Cells, title: str) -> str:
+def make_table(cells: Cells, title: str) -> str:
     rows = [{"name": name, **cell.row()} for name, cell in cells.items()]
     columns = {"name": (title, str), "objects": ("objects", "d")} | SCORES
     return table(rows, {key: columns[key] for key in columns if key in rows[0]})
@@ -334,9 +334,9 @@ def main() -> None:
         args.out,
         "masks.md",
         "python -m benches.masks.id_consistency DATA",
-        table_of(cells, "made-up pairs"),
-        table_of(copies, "tracker, copies"),
-        table_of({"photographs": photograph_cell(args.data)}, "labelled categories"),
+        make_table(cells, "made-up pairs"),
+        make_table(copies, "tracker, copies"),
+        make_table({"photographs": photograph_cell(args.data)}, "labelled categories"),
         table(rows_of_views(args.rooms), several),
     )
 

@@ -32,7 +32,6 @@ import pyarrow as pa
 import torch
 
 from benches.common.harness import parser, publish, table
-from benches.common.resident_memory import memory_status, reset_peak_memory
 from tests.small_files import FORMATS, new_folder, trial, verdict
 
 ROOM = 2**30
@@ -61,8 +60,14 @@ KINDS = {
 }
 
 
-def measured(name: str, number: int, seed: int, folder: Path) -> Outcome:
-    reset_peak_memory()
+def memory_status(name: str) -> int:
+    """Return bytes from /proc/self/status, such as ``VmRSS`` (resident) or ``VmHWM`` (its peak)."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(1024 * int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
+
+
+def measure(name: str, number: int, seed: int, folder: Path) -> Outcome:
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak
     before, begun = memory_status("VmRSS"), time.process_time()
     kind, message = verdict(name, number, seed, folder)
     seconds = time.process_time() - begun
@@ -82,7 +87,7 @@ def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int)
     with os.fdopen(out, "w") as lines:
         FORMATS[name].read(folder)  # so that imports count for no file
         for number in range(first, count):
-            outcomes = measured(name, number, seed, folder)
+            outcomes = measure(name, number, seed, folder)
             lines.write(json.dumps(asdict(outcomes)) + "\n")
             lines.flush()
     os._exit(0)

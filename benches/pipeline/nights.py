@@ -104,15 +104,15 @@ def fill(room: ArtifactStore, config: Any) -> None:
         patch.setattr(os, "fsync", lambda file: None)
         for stage in STAGES:
             patch.setattr(stage, "task", without_prefect(stage.task.fn))
-        refs, _ = compute_scene(tasks[0], room, 1, lambda event: None)
+        refs = compute_scene(tasks[0], room, 1, lambda event: None).refs
         for stage in STAGES:
             patch.setattr(stage, "compute", stand_in(room, refs[stage.name]))
         for task in tasks:
-            _, failure = compute_scene(task, ArtifactStore(config.store), 1, lambda event: None)
-            assert failure is None, failure
+            run = compute_scene(task, ArtifactStore(config.store), 1, lambda event: None)
+            assert run.failure is None, run.failure
 
 
-def recorded(server: LocalServer) -> tuple[int, float]:
+def read_counts(server: LocalServer) -> tuple[int, float]:
     """Return the numbers of task runs and of megabytes of the server, when they rest."""
     counts = [-1, -2]
     while counts[-1] != counts[-2]:
@@ -135,11 +135,11 @@ def nights(server: LocalServer, work: Path, scenes: int) -> Iterator[dict[str, A
     config = make_settings({"rooms": f"0-{scenes - 1}", "size": "64x96", **places}, "nights")
     fill(ArtifactStore(work / "room"), config)
     for night in ("new report", "cached"):
-        before, start, processor = recorded(server), time.perf_counter(), time.process_time()
+        before, start, processor = read_counts(server), time.perf_counter(), time.process_time()
         score_scenes(config)
         row = {"scenes": scenes, "night": night, "seconds": time.perf_counter() - start}
         row["processor"] = time.process_time() - processor
-        after = recorded(server)
+        after = read_counts(server)
         row |= {"task_runs": after[0] - before[0], "database": after[1] - before[1]}
         links = [file.stat().st_nlink > 1 for file in config.out.rglob("*") if file.is_file()]
         row |= {"out": len(links), "links": sum(links)}

@@ -82,7 +82,7 @@ class Storm:
     wrong: list[str] = field(default_factory=list)
 
 
-def scenes_of(work: Path, count: int) -> tuple[list[Path], dict[str, str]]:
+def write_scenes(work: Path, count: int) -> tuple[list[Path], dict[str, str]]:
     """Write the files of all scenes; return them, and the damage of some by scene."""
     from benches.pipeline.storm_stages import SHAPE
 
@@ -113,7 +113,7 @@ def run(root: str, listed: Path, out: Path, workers: int) -> None:
     raise SystemExit(bool(failures))
 
 
-def workers_of(pid: int) -> list[int]:
+def find_workers(pid: int) -> list[int]:
     """Return the worker processes of a run."""
     workers = []
     for child in family(pid)[1:]:
@@ -123,7 +123,7 @@ def workers_of(pid: int) -> list[int]:
     return workers
 
 
-def weathered(
+def run_in_storm(
     work: Path,
     store: str,
     listed: Path,
@@ -152,7 +152,7 @@ def weathered(
             due = time.perf_counter() + dice.uniform(*BETWEEN)
             while process.poll() is None and time.perf_counter() < due:
                 time.sleep(0.05)
-            at_work = workers_of(process.pid)
+            at_work = find_workers(process.pid)
             done = storm.kills.total()
             if not filled and done >= kills // 2:
                 filled = True
@@ -197,7 +197,7 @@ def content(store: ArtifactStore) -> dict[str, bytes]:
     return content_of
 
 
-def compared(store: str, wanted: Mapping[str, bytes]) -> list[str]:
+def compare(store: str, wanted: Mapping[str, bytes]) -> list[str]:
     content_of = content(ArtifactStore(store))
     return [
         *(f"not there: {name}" for name in wanted.keys() - content_of.keys()),
@@ -223,7 +223,7 @@ def in_a_folder(work: Path, listed: Path, args: argparse.Namespace, calm: bool) 
                 file.write(bytes(4096))
 
     damaged, kills = ({}, 0) if calm else (args.damaged, args.kills)
-    return weathered(work, str(store), listed, damaged, kills, {}, full, args.seed)
+    return run_in_storm(work, str(store), listed, damaged, kills, {}, full, args.seed)
 
 
 def in_a_bucket(work: Path, listed: Path, args: argparse.Namespace, calm: bool) -> Storm:
@@ -261,9 +261,9 @@ def in_a_bucket(work: Path, listed: Path, args: argparse.Namespace, calm: bool) 
         def full(now: bool) -> None:
             weather.full = now
 
-        storm = weathered(work, "s3://storm/slg", listed, damaged, kills, env, full, args.seed)
+        storm = run_in_storm(work, "s3://storm/slg", listed, damaged, kills, env, full, args.seed)
         weather.share = 0.0
-        storm.wrong += compared("s3://storm/slg", args.wanted)
+        storm.wrong += compare("s3://storm/slg", args.wanted)
     finally:
         weather.close()
         moto.terminate()
@@ -313,14 +313,13 @@ def main() -> None:
         run(args.run[0], Path(args.run[1]), Path(args.run[2]), 2)
     in_own_namespace(sys.argv[1:])
     work = args.work.resolve()
-    for left in ("cache", "storm.log", "moto.log"):
-        shutil.rmtree(work / left, ignore_errors=True)
-        if (work / left).is_file():
-            (work / left).unlink()
+    shutil.rmtree(work / "cache", ignore_errors=True)
+    for log in ("storm.log", "moto.log"):
+        (work / log).unlink(missing_ok=True)
     (work / "disk").mkdir(parents=True, exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(work / "disk")]
     subprocess.run(mount, check=True)
-    files, damaged = scenes_of(work, args.scenes)
+    files, damaged = write_scenes(work, args.scenes)
     rows, wrong = [], []
     for name, count, weather in (
         ("folder", args.scenes, in_a_folder),
@@ -341,7 +340,7 @@ def main() -> None:
         print(f"{name}: a run left alone took {calm.seconds:.0f} s", flush=True)
         storm = weather(work, everything, args, calm=False)
         if weather is in_a_folder:
-            storm.wrong += compared(str(work / "disk" / "storm"), args.wanted)
+            storm.wrong += compare(str(work / "disk" / "storm"), args.wanted)
         rows.append(
             {
                 "store": name,

@@ -9,6 +9,7 @@ import numpy as np
 from prefect import flow
 from prefect.states import Completed, State
 
+from flows.config import Engine
 from flows.runners.batches import SceneTask, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.task_runners import open_workers
@@ -54,11 +55,9 @@ def pipeline(file: str) -> None:
 def storm(root: str, files: list[str], workers: int) -> State[dict[str, str]]:
     """Process scenes in worker processes; return the reasons of those left out."""
     scenes = [SceneTask(Path(file).stem, pipeline, (file,), take.name) for file in files]
-    with (
-        open_workers("processes", workers, ArtifactStore(root)) as opened,
-        Progress(len(scenes), 2) as progress,
-    ):
-        outcome = map_scenes(scenes, opened, progress)
+    config = Engine(runner="processes", workers=workers)
+    with open_workers(config, ArtifactStore(root)) as opened:
+        outcome = map_scenes(scenes, opened, Progress(len(scenes), 2))
     return Completed(data={failure.scene: failure.reason for failure in outcome.failures})
 
 

@@ -258,7 +258,7 @@ def questions(
     ask("render ply", "render", f"{out}/scene.ply", "--camera", cameras, file="ply.png")
 
 
-def killed(recorder: Recorder, _data: Path | None) -> None:
+def kill_and_resume(recorder: Recorder, _data: Path | None) -> None:
     """Kill and resume a run, which must equal an undisturbed run."""
     base = recorder.work / "killed"
     config = write_rooms(base / "rooms", 2)
@@ -286,7 +286,7 @@ GROUPS: dict[str, Callable[[Recorder, Path | None], None]] = {
     "fields": fields,
     "corpus": corpus,
     "runners": runners,
-    "killed": killed,
+    "killed": kill_and_resume,
     "office": office,
 }
 
@@ -359,7 +359,7 @@ def wait_until(happens: Callable[[], bool], process: subprocess.Popen | None = N
         time.sleep(0.05)
 
 
-def installed(work: Path) -> list[str]:
+def install(work: Path) -> list[str]:
     """Install the checkout plainly, and return the program."""
     python = work / "venv" / "bin" / "python"
     if not python.exists():
@@ -369,7 +369,7 @@ def installed(work: Path) -> list[str]:
     return [str(work / "venv" / "bin" / "slgaussian")]
 
 
-def recorded(
+def record_groups(
     program: list[str],
     work: Path,
     data: Path | None,
@@ -415,7 +415,7 @@ def main() -> None:
         work = args.work.resolve()
         work.mkdir(parents=True, exist_ok=True)
         data = args.data.resolve() if args.data else None
-        results = recorded(args.program or installed(work), work, data, args.only)
+        results = record_groups(args.program or install(work), work, data, args.only)
         args.out.write_text(json.dumps({k: vars(v) for k, v in results.items()}, indent=1))
         lines = check(results)
     print("\n".join(lines) or "nothing")

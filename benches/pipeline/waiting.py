@@ -70,7 +70,7 @@ def program(folder: Path) -> tuple[str, ...]:
     return sys.executable, "-c", f"from {module} import {function}; {function}()"
 
 
-def row_of(command: str, now: Sequence[Cost], before: Sequence[Cost]) -> dict[str, object]:
+def compare_costs(command: str, now: Sequence[Cost], before: Sequence[Cost]) -> dict[str, object]:
     """Return medians of two commits over rounds, and an interval of the ratio of seconds."""
     ratios = np.array([a.cpu / b.cpu for a, b in zip(now, before, strict=True)])
     low, high = interval(np.median(ratios[resamplings(len(ratios))], 1))
@@ -147,7 +147,7 @@ def main() -> None:
     photos = [str((args.data / name).resolve()) for name in pair["context"]]
     cameras = str((args.data / "transforms.json").resolve())
 
-    def wanted(name: str) -> bool:
+    def wants(name: str) -> bool:
         return not args.only or name in args.only
 
     with tempfile.TemporaryDirectory() as place:
@@ -164,14 +164,14 @@ def main() -> None:
         }
         rows = []
         for name, words in commands.items():
-            if wanted(name):
-                rows.append(row_of(name, *in_turn(words, folders, args.rounds)))
+            if wants(name):
+                rows.append(compare_costs(name, *in_turn(words, folders, args.rounds)))
                 print(rows[-1], file=sys.stderr)
-        if any(map(wanted, QUERIES)):
+        if any(map(wants, QUERIES)):
             costs = query_in_turn(f"{place}/{{}}", folders, args.rounds)
-            rows += [row_of(name, *costs[name]) for name in QUERIES]
-        if wanted(FIRST):
-            rows.append(row_of(FIRST, *in_turn(field, folders, args.rounds, first=True)))
+            rows += [compare_costs(name, *costs[name]) for name in QUERIES]
+        if wants(FIRST):
+            rows.append(compare_costs(FIRST, *in_turn(field, folders, args.rounds, first=True)))
     publish(
         args.out,
         "waiting.md",

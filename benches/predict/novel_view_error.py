@@ -64,7 +64,7 @@ def depth_errors(view: View, second: View, depth: np.ndarray) -> tuple[float, fl
     return float(off.mean()), float(np.median(off)), float(close.mean())
 
 
-def drawn(render: Render) -> np.ndarray:
+def draw(render: Render) -> np.ndarray:
     alpha = np.maximum(render.alpha.numpy(), MIN_WEIGHT)[..., None]
     return np.rint((render.values.numpy() / alpha).clip(0, 1) * 255).astype(np.uint8)
 
@@ -74,7 +74,7 @@ def nearest(sample: Sample) -> np.ndarray:
     return min(sample.context, key=lambda v: np.linalg.norm(v.camera.center - place)).image
 
 
-def warped(sample: Sample, gaussians: Gaussians, render: Render) -> np.ndarray:
+def warp(sample: Sample, gaussians: Gaussians, render: Render) -> np.ndarray:
     depth = render.median.numpy().astype(np.float64)
     _, label = cv2.distanceTransformWithLabels(
         (depth == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
@@ -116,8 +116,8 @@ def of_pair(sample: Sample) -> dict[str, float]:
     gaussians = PlaneSweep()(sample)
     render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
     pictures = {
-        "gaussians": drawn(render),
-        "warped": warped(sample, gaussians, render),
+        "gaussians": draw(render),
+        "warped": warp(sample, gaussians, render),
         "nearest": nearest(sample),
     }
     row = {}
@@ -137,7 +137,7 @@ def of_pair(sample: Sample) -> dict[str, float]:
     return row
 
 
-def mean_of(name: str, rows: Sequence[dict[str, float]]) -> dict[str, object]:
+def average(name: str, rows: Sequence[dict[str, float]]) -> dict[str, object]:
     """Return a row of the tables: means over pairs."""
     means = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
     ahead = sum(row["ahead"] > 0 for row in rows)
@@ -178,7 +178,7 @@ def main() -> None:
         files = sorted(args.data.glob(f"{name}/**/pairs.json"))
         sets[name] = [sample for file in files for sample in load_samples(file.parent).values()]
     rows = [
-        mean_of(name, [of_pair(sample) for sample in samples]) for name, samples in sets.items()
+        average(name, [of_pair(sample) for sample in samples]) for name, samples in sets.items()
     ]
     stereo = motorcycle(seed=0)
     publish(

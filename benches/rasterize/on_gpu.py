@@ -31,7 +31,7 @@ PRECISIONS = ("float32", "bfloat16")
 STEPS = 12
 
 
-def synchronised(work: Callable[[], object]) -> Callable[[], None]:
+def synchronise(work: Callable[[], object]) -> Callable[[], None]:
     """Return a call of ``work`` that ends when the GPU has finished."""
 
     def call() -> None:
@@ -55,13 +55,13 @@ def rasterizer_rows() -> list[dict[str, Any]]:
         gpu = on_gpu(cpu)
         spent = times_in_turn(
             {
-                "cpu": cpu.drawn,
-                "gpu": synchronised(lambda gpu=gpu: gpu.drawn(backend="cuda")),
+                "cpu": cpu.draw,
+                "gpu": synchronise(lambda gpu=gpu: gpu.draw(backend="cuda")),
                 "cpu_both": both_ways(cpu),
-                "gpu_both": synchronised(both_ways(gpu)),
+                "gpu_both": synchronise(both_ways(gpu)),
             }
         )
-        off = (gpu.drawn(backend="cuda").cpu() - cpu.drawn()).abs()
+        off = (gpu.draw(backend="cuda").cpu() - cpu.draw()).abs()
         row = {"gaussians": len(cpu.gaussians), "channels": channels, **spent}
         rows.append(row | {"mean": float(off.mean()), "greatest": float(off.max())})
     return rows

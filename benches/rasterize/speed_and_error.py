@@ -74,7 +74,7 @@ class Subject:
         arrays = self.gaussians.to_arrays()
         return torch.from_numpy(splat_in_order(arrays, self.values.numpy(), self.camera))
 
-    def drawn(self, settings: Settings = DEFAULT, backend: str = "cpu") -> torch.Tensor:
+    def draw(self, settings: Settings = DEFAULT, backend: str = "cpu") -> torch.Tensor:
         inputs = self.gaussians, self.values, self.camera
         return rasterize(*inputs, backend=backend, settings=settings).values
 
@@ -101,8 +101,8 @@ def both_ways(subject: Subject) -> Callable[[], object]:
 
 def duel(subject: Subject, **contenders: Callable[[], object]) -> dict[str, float]:
     """Return seconds of the plain loop, the default settings and others, and the largest error."""
-    spent = times_in_turn({"loop": subject.by_loop, "fast": subject.drawn, **contenders})
-    off = subject.drawn() - subject.drawn(replace(DEFAULT, **FINE))
+    spent = times_in_turn({"loop": subject.by_loop, "fast": subject.draw, **contenders})
+    off = subject.draw() - subject.draw(replace(DEFAULT, **FINE))
     return spent | {"ratio": spent["loop"] / spent["fast"], "greatest": float(off.abs().max())}
 
 
@@ -113,9 +113,9 @@ def scene_row(subject: Subject) -> dict:
     for x, y in WINDOWS:
         corner = round(x * camera.width), round(y * camera.height)
         window = replace(subject, camera=camera.cropped(*corner, WINDOW, WINDOW))
-        true = window.drawn(backend="reference")
+        true = window.draw(backend="reference")
         for name, settings in (("window", DEFAULT), ("floor", replace(DEFAULT, **FINE))):
-            off = float((window.drawn(settings) - true).abs().max())
+            off = float((window.draw(settings) - true).abs().max())
             worst[name] = max(worst[name], off)
     times = duel(subject, both=both_ways(subject))
     return {"scene": subject.name, "gaussians": len(subject.gaussians), **times, **worst}
@@ -124,12 +124,12 @@ def scene_row(subject: Subject) -> dict:
 def cut_rows(subject: Subject) -> list[dict]:
     """Return the times and errors of the plain loop and of each of the cut-offs :data:`CUTS`."""
     contenders = {LOOP: subject.by_loop} | {
-        name: lambda settings=settings: subject.drawn(settings) for name, settings in CUTS.items()
+        name: lambda settings=settings: subject.draw(settings) for name, settings in CUTS.items()
     }
     spent = times_in_turn(contenders)
     rows = []
     for name, draw in contenders.items():
-        off = (draw() - subject.drawn(replace(CUTS.get(name, DEFAULT), **FINE))).abs()
+        off = (draw() - subject.draw(replace(CUTS.get(name, DEFAULT), **FINE))).abs()
         row = {"what": name, "fast": spent[name], "ratio": spent[LOOP] / spent[name]}
         rows.append(row | {"greatest": float(off.max()), "mean": float(off.mean())})
     return rows

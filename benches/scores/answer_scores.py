@@ -18,7 +18,14 @@ import numpy as np
 
 from benches.common.harness import Format, parser, publish, table
 from benches.common.photograph_pairs import data_folder
-from benches.scores.scene_sets import SETS, SHEETS, built, over_seeds, read, truth_of
+from benches.scores.scene_sets import (
+    SETS,
+    SHEETS,
+    build_fields,
+    over_seeds,
+    read,
+    read_truth_of_scene,
+)
 from flows.config import SceneSettings, Settings
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
@@ -52,12 +59,12 @@ KINDS = ("noun", "described noun", "surface", "small")
 def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
     """Return a row per method and seed: means over the queries of a scene."""
     sample = read(scene, Settings())
-    truth = truth_of(scene, sample)
+    truth = read_truth_of_scene(scene, sample)
     # A labelled folder is one place, but each scene of the office and each room is a place too.
     place = scene.dataset if name in ("places", "things") else scene.name
     common = {"set": name, "place": place, "scene": scene.name}
     first: Inputs | None = None
-    for inputs in built(sample, range(SEEDS)):
+    for inputs in build_fields(sample, range(SEEDS)):
         first = first or inputs
         lost = attribute_errors(inputs.field, inputs.gaussians, sample, truth)
         stages = {
@@ -73,7 +80,7 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
         yield common | {"seed": first.seed, "queries": len(lost), "method": method} | scores
 
 
-def kind_of(text: str, mask: np.ndarray) -> str:
+def find_kind(text: str, mask: np.ndarray) -> str:
     """Return the kind, of :data:`KINDS`, of a text with true mask bool [H, W]."""
     if mask.mean() < SMALL:
         return "small"
@@ -100,7 +107,7 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
         kinds: dict[str, list[float]] = {}
         for row in own_rows:
             mask = truth.masks[row["frame"]][row["query"]]
-            kinds.setdefault(kind_of(row["query"], mask), []).append(row["iou"])
+            kinds.setdefault(find_kind(row["query"], mask), []).append(row["iou"])
         scores = {score: mean for score, mean in scene_means(own_rows).items() if score in SCORES}
         means[name] = scores | {"kinds": kinds}
     return means
@@ -132,7 +139,7 @@ def by_scene(rows: Sequence[Mapping[str, Any]], key: str) -> dict[str, float]:
     return {scene: float(np.mean(values)) for scene, values in values_of.items()}
 
 
-def reached(our_rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
+def summarise_ours(our_rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
     """Return our scores on a set, one row per score."""
     places = {row["scene"]: row["place"] for row in our_rows}
     lines = []
@@ -152,7 +159,7 @@ def reached(our_rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, 
     return lines
 
 
-def compared(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
+def compare_with_others(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
     """Return our gains over the others on a set, paired by scene, one row per method."""
     of = {method: [r for r in rows if r["method"] == method] for method in (OURS, CUT, *OTHERS)}
     places = {row["scene"]: row["place"] for row in of[OURS]}
@@ -174,7 +181,7 @@ def compared(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any
     return lines
 
 
-def placed(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def average_by_place(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return means over the scenes of each place, for our method and the others."""
     lines = []
     for place in dict.fromkeys(row["place"] for row in rows):
@@ -208,7 +215,7 @@ def sum_of_queries(rows: Sequence[Mapping[str, Any]]) -> int:
     return sum({row["scene"]: row["queries"] for row in rows}.values())
 
 
-def staged(our_rows: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
+def average_by_stage(our_rows: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
     """Return means over the queries of a set with ground truth for each stage."""
     weights = [row["queries"] for row in our_rows]
     keys = ("iou", *(f"{stage}_iou" for stage in STAGES))
@@ -264,11 +271,13 @@ def main() -> None:
         args.out,
         "answers.md",
         "python -m benches.scores.answer_scores DATA",
-        table([line for name in sets for line in reached(ours[name], name)], REACHED),
+        table([line for name in sets for line in summarise_ours(ours[name], name)], REACHED),
         table([line for name, some in sets.items() for line in by_kind(some, name)], BY_KIND),
-        table(placed([*sets.get("things", []), *sets.get("places", [])]), PLACED),
-        table([line for name, some in sets.items() for line in compared(some, name)], GAINS),
-        table([staged(our_rows, name) for name, our_rows in ours.items()], STAGED),
+        table(average_by_place([*sets.get("things", []), *sets.get("places", [])]), PLACED),
+        table(
+            [line for name, some in sets.items() for line in compare_with_others(some, name)], GAINS
+        ),
+        table([average_by_stage(our_rows, name) for name, our_rows in ours.items()], STAGED),
     )
 
 

@@ -19,7 +19,7 @@ SETS = {"office": "office", "procedural": "rooms"}
 SCORES = ("iou", "hit_mask", "miou")
 
 
-def answers_of(out: Path) -> dict[str, dict]:
+def read_scores(out: Path) -> dict[str, dict]:
     """Return the scores of each method by data set."""
     scores_of: dict[str, dict] = {}
     for score in pq.read_table(out / "scores.parquet").to_pylist():
@@ -31,7 +31,7 @@ def answers_of(out: Path) -> dict[str, dict]:
     return scores_of
 
 
-def seconds_of(out: Path) -> dict[str, dict]:
+def read_seconds(out: Path) -> dict[str, dict]:
     """Return the seconds of each method, medians over all scenes."""
     rows = pq.read_table(out / "times.parquet").to_pylist()
     return {
@@ -62,7 +62,7 @@ def main() -> None:
     arguments.add_argument("run", type=Path, help="what the benchmark left")
     arguments.add_argument("--only", nargs="*", metavar="METHOD")
     args = arguments.parse_args()
-    answers, costs = answers_of(args.run), seconds_of(args.run)
+    answers, costs = read_scores(args.run), read_seconds(args.run)
     rows = [{"method": name, **answers[name], **costs[name]} for name in args.only or answers]
     command = "python -m benches.scores.baseline_comparison OUT"
     publish(args.out, "answers.md", command, table(rows, COLUMNS))

@@ -45,7 +45,7 @@ class Set:
     scenes: Callable[[Path], list[SceneSettings]]
 
 
-def labelled(names: Sequence[str], data: Path) -> list[SceneSettings]:
+def find_labelled(names: Sequence[str], data: Path) -> list[SceneSettings]:
     """Return the scenes of labelled folders below DATA."""
     scenes = []
     for name in names:
@@ -56,13 +56,13 @@ def labelled(names: Sequence[str], data: Path) -> list[SceneSettings]:
 
 
 SETS: Mapping[str, Set] = {
-    "office": Set(True, partial(labelled, ["office"])),
+    "office": Set(True, partial(find_labelled, ["office"])),
     "demo": Set(True, lambda _: [room_scene(seed) for seed in ROOMS]),
     "motorcycle": Set(
         True, lambda _: [scene for scene in demo_scenes() if scene.dataset == "stereo"]
     ),
-    "places": Set(True, partial(labelled, [f"places/{name}" for name in PLACES])),
-    "things": Set(True, partial(labelled, [f"things/{name}" for name in THINGS])),
+    "places": Set(True, partial(find_labelled, [f"places/{name}" for name in PLACES])),
+    "things": Set(True, partial(find_labelled, [f"things/{name}" for name in THINGS])),
     "rooms": Set(False, lambda _: [room_scene(seed) for seed in UNSEEN]),
 }
 
@@ -73,14 +73,14 @@ def read(scene: SceneSettings, settings: Settings) -> Sample:
     return loaded.sample(scene.context, scene.targets, scene.size or settings.size)
 
 
-def truth_of(scene: SceneSettings, sample: Sample) -> Truth:
+def read_truth_of_scene(scene: SceneSettings, sample: Sample) -> Truth:
     """Return the labels of the targets of a scene, or the ground truth of a procedural room."""
     if scene.labels is None:
         return truth_from_instances(sample)
     return read_truth(scene.labels, scene.categories, sample.targets)
 
 
-def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
+def build_fields(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     """Yield the field of each seed, with its inputs.
 
     In the default method the seed determines only the ID codes, and each Gaussian has the code of

@@ -63,15 +63,17 @@ def motorcycle(seed: int) -> dict[str, float]:
 
 def office(data: Path, seed: int) -> dict[str, float]:
     """Return the mean ``iou`` in the target views of :data:`OFFICE`."""
-    return _labelled(dict.fromkeys(OFFICE, data / "office"), seed)
+    return _score_labelled(dict.fromkeys(OFFICE, data / "office"), seed)
 
 
 def places(data: Path, seed: int) -> dict[str, float]:
     """Return the mean ``iou`` in the target views of :data:`PLACES`."""
-    return _labelled({name: data / "places" / folder for folder, name in PLACES.items()}, seed)
+    return _score_labelled(
+        {name: data / "places" / folder for folder, name in PLACES.items()}, seed
+    )
 
 
-def _labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
+def _score_labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
     ious = []
     for name, folder in folders.items():
         pair = read_index(folder / "pairs.json").scenes[name]

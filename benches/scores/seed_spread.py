@@ -20,7 +20,14 @@ import numpy as np
 
 from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
-from benches.scores.scene_sets import SETS, SHEETS, built, over_seeds, read, truth_of
+from benches.scores.scene_sets import (
+    SETS,
+    SHEETS,
+    build_fields,
+    over_seeds,
+    read,
+    read_truth_of_scene,
+)
 from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.baselines.inputs import Inputs
@@ -33,12 +40,12 @@ SEEDS = 3
 SHOWN = ("iou", "hit_mask", "miou", "psnr", "ssim", "abs_rel", "bad2")
 
 
-def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]:
+def score_seeds(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]:
     """Compute the metrics of a scene with each seed."""
     threads.limit(threads.cores())
     sample = read(scene, Settings())
-    truth = truth_of(scene, sample)
-    return [score(inputs, scene, truth) for inputs in built(sample, seeds)]
+    truth = read_truth_of_scene(scene, sample)
+    return [score(inputs, scene, truth) for inputs in build_fields(sample, seeds)]
 
 
 def score(inputs: Inputs, scene: SceneSettings, truth: Truth) -> dict[str, float]:
@@ -68,7 +75,7 @@ def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[
             for scene in SETS[name].scenes(data):
                 seeds = [k for k in range(SEEDS) if (name, scene.name, k) not in measured]
                 if seeds:
-                    jobs[pool.submit(scored, scene, seeds)] = name, scene.name, seeds
+                    jobs[pool.submit(score_seeds, scene, seeds)] = name, scene.name, seeds
         for job in as_completed(jobs):
             name, scene, seeds = jobs[job]
             for seed, metrics in zip(seeds, job.result(), strict=True):

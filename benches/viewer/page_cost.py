@@ -35,7 +35,7 @@ RENDERER = """(() => { const gl = slgaussian.drawing.gl;
   return gl.getParameter(more ? more.UNMASKED_RENDERER_WEBGL : gl.RENDERER); })()"""
 
 
-def measured(name: str, field: SemanticField, folder: Path) -> dict:
+def measure(name: str, field: SemanticField, folder: Path) -> dict:
     start = time.perf_counter()
     html = scene_page(field)
     write_seconds = time.perf_counter() - start
@@ -51,10 +51,10 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
                 ".map((mark) => [mark.name, mark.startTime / 1000]))"
             )
             frames = [_frame(tab) for _ in range(FRAMES)]
-            lit = _asked(tab)
+            lit = _time_answer(tab)
             used = browser.resident_bytes() - bare
             return {
-                **_served(browser, field, folder / name),
+                **_time_server(browser, field, folder / name),
                 "name": name,
                 "gaussians": len(field.gaussians),
                 "made": write_seconds,
@@ -75,7 +75,7 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
             }
 
 
-def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
+def _time_server(browser: Browser, field: SemanticField, folder: Path) -> dict:
     """Measure seconds of `slgaussian view` to its address, the first picture and an answer."""
     field.save(folder)
     start = time.perf_counter()
@@ -90,7 +90,7 @@ def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
             first_picture = tab.evaluate(
                 "performance.getEntriesByName('shown')[0].startTime / 1000"
             )
-            return {"address": ready, "served": first_picture, "served_light": _asked(tab)}
+            return {"address": ready, "served": first_picture, "served_light": _time_answer(tab)}
     finally:
         server.terminate()
         server.wait(60)
@@ -104,7 +104,7 @@ def _frame(tab: Tab) -> float:
     )
 
 
-def _asked(tab: Tab) -> float:
+def _time_answer(tab: Tab) -> float:
     """Measure the seconds from Enter to the frame with the answer."""
     tab.wait("!slgaussian.busy", PATIENCE)
     tab.click_on("#words")
@@ -149,7 +149,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name, (views, keep) in SIZES.items():
             sample = scene.sample(names[: 2 * views : 2], [], "auto")
-            rows.append(measured(name, build_field(sample, Method(keep=keep)), Path(folder)))
+            rows.append(measure(name, build_field(sample, Method(keep=keep)), Path(folder)))
             print(rows[-1], flush=True)
     command = "python -m benches.viewer.page_cost WALK"
     renderer = f'The renderer calls itself "{rows[0]["renderer"]}".'

@@ -51,7 +51,7 @@ TARGETS = (51, 112, 159)
 BASELINE, SIZE = 1.6, {"height": 208, "width": 288}
 
 
-def rows_of(
+def measure_views(
     scene: Scene, contexts: Mapping[int, Sequence[str]], targets: Sequence[str], name: str
 ) -> Iterator[Row]:
     """Yield a row for each number of context views, all at the same targets."""
@@ -94,7 +94,7 @@ def walk(folder: Path, every: int) -> Iterator[Row]:
     for start in range(0, len(frames) - length + 1, every):
         names = frames[start : start + length]
         contexts = {number: names[: 2 * number - 1 : 2] for number in OF_WALK}
-        yield from rows_of(scene, contexts, names[1:2], f"frame {start}")
+        yield from measure_views(scene, contexts, names[1:2], f"frame {start}")
 
 
 def fern(folder: Path) -> Iterator[Row]:
@@ -106,7 +106,7 @@ def fern(folder: Path) -> Iterator[Row]:
     names = [list(scene.cameras)[i] for i in along]
     targets = [names[len(names) * k // 4] for k in (1, 2, 3)]
     rest = [name for name in names[2:-2] if name not in targets]
-    yield from rows_of(scene, {n: evenly(rest, n) for n in NUMBERS}, targets, folder.name)
+    yield from measure_views(scene, {n: evenly(rest, n) for n in NUMBERS}, targets, folder.name)
 
 
 def place(folder: Path) -> Iterator[Row]:
@@ -120,7 +120,7 @@ def place(folder: Path) -> Iterator[Row]:
             except InputError:  # too few photographs
                 break
         if len(contexts) > 1:
-            yield from rows_of(scene, contexts, pair.target, name)
+            yield from measure_views(scene, contexts, pair.target, name)
 
 
 def room(seed: int) -> Iterator[Row]:
@@ -128,7 +128,7 @@ def room(seed: int) -> Iterator[Row]:
     scene = datasets.load("procedural", seed, views=ARC + 1, baseline=BASELINE, **SIZE)
     names = list(scene.cameras)
     contexts = {number: evenly(names, number) for number in NUMBERS}
-    yield from rows_of(scene, contexts, [names[k] for k in TARGETS], f"room {seed}")
+    yield from measure_views(scene, contexts, [names[k] for k in TARGETS], f"room {seed}")
 
 
 def evenly(names: Sequence[str], count: int) -> list[str]:

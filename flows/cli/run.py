@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -119,12 +120,23 @@ def benchmark(
     run_scenes("benchmark", settings, verbose)
 
 
-def run_flow(command: str, settings: Any, verbose: bool) -> Any:
-    """Run the flow of a command, interruptible by Ctrl-C; return its result."""
-    from flows.runners.environment import interruptible, perform
+def run_flow(command: str, config: Any, verbose: bool) -> Any:
+    """Run the flow of a command, interruptible by Ctrl-C; return its result.
 
-    with interruptible():
-        return perform(command, settings, verbose)
+    SLGaussianError as the flow, and if the Prefect server fails.
+    """
+    from flows.runners.environment import FLOWS, call_flow, interruptible, orchestration
+    from slgaussian.storage.store import ArtifactStore
+
+    store = ArtifactStore(config.store)
+    with interruptible(), orchestration(store) as wait_for_server:
+        # The imports take as long as the start of the server.
+        place, name = FLOWS[command].split(":")
+        module = import_module(place)
+        if hasattr(module, "check"):
+            module.check(config, store)
+        wait_for_server()
+        return call_flow(getattr(module, name), config, verbose)
 
 
 def run_scenes(command: str, settings: Any, verbose: bool) -> None:

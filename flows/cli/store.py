@@ -109,7 +109,7 @@ def gc(
 
     from slgaussian.storage.housekeeping import collect
 
-    with _opened(store) as opened:
+    with _open_store(store) as opened:
         garbage = collect(opened, age * 86400, _stage_versions(), yes)
     kinds = {
         "artifacts that nothing refers to": garbage.artifacts,
@@ -153,7 +153,7 @@ def status(
     corpus = RetrainSettings if "models" in values else CorpusSettings
     model: Any = corpus if "sources" in values else Settings
     settings = read_toml(config, options.settings_from(ctx, model), model, "store status")
-    with _opened(settings.store) as opened:
+    with _open_store(settings.store) as opened:
         prepare_prefect(settings.store)
         from flows.runners.batches import FAILURES
         from flows.status import look_up
@@ -197,7 +197,7 @@ def purge(
     clips = {*clip, *purging.find_clips(place, sets)}
     if not clips:
         raise InputError("give --clip, or a --place that the index of a --set has")
-    with _opened(store) as opened:
+    with _open_store(store) as opened:
         traces = purging.find_traces(clips, opened, sets)
         for other in sorted(traces.clips - clips):
             typer.echo(f"{other}: has the same photographs, and counts as withdrawn too")
@@ -224,7 +224,7 @@ def purge(
 
 
 @contextmanager
-def _opened(url: str | None) -> Iterator[ArtifactStore]:
+def _open_store(url: str | None) -> Iterator[ArtifactStore]:
     """Open an existing store; on a terminal, show that it is read."""
     from rich.console import Console
 

@@ -13,8 +13,8 @@ import queue
 import threading
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -85,9 +85,11 @@ class Failure:
 
 @dataclass
 class SceneResult:
-    """Result of a scene from a worker: refs by stage, and the failure, if any.
+    """Result of a scene from a worker.
 
-    ``events`` are the events of a worker in another process.
+    Attributes:
+        refs: Results of all stages, or of those before the one that failed.
+        events: Events of a worker in another process.
     """
 
     scene: str
@@ -165,10 +167,10 @@ def run_batch(label: str, pickled: bytes) -> State[list[SceneResult]]:
     for scene_task in scene_tasks:
         events = []
         try:
-            refs, failure = compute_scene(scene_task, store, workers, notify, refresh)
+            result = compute_scene(scene_task, store, workers, notify, refresh)
         except StoppedError:
             return Cancelled(message="the run has ended", data=results)
-        results.append(SceneResult(scene_task.scene, refs, failure, events))
+        results.append(replace(result, events=events))
     message = f"{len(results) - len(computed)} of {len(results)} found in the store"
     if not computed:
         return Completed(name="Cached", message=message, data=results)
@@ -183,8 +185,8 @@ def compute_scene(
     notify: Notify,
     refresh: frozenset[str] = frozenset(),
     look_up: bool = False,
-) -> tuple[dict[str, ArtifactRef], Failure | None]:
-    """Return the refs of all stages, or of those before the one that failed, and its failure.
+) -> SceneResult:
+    """Run the pipeline of a scene, or only look its results up, without any task of Prefect's.
 
     DamagedError if it needs a damaged artifact, StoreError if the store fails.
     """
@@ -193,7 +195,7 @@ def compute_scene(
     try:
         with run_context(run):
             scene_task.pipeline(*scene_task.arguments)
-        return run.refs, None
+        return SceneResult(name, run.refs)
     except (StoppedError, DamagedError, StoreError):
         raise
     except (Exception, SystemExit) as error:  # other scenes continue after any error
@@ -201,12 +203,12 @@ def compute_scene(
         if not isinstance(error, SLGaussianError):
             reason = f"unexpected {type(error).__name__}: {reason}"
             trace = "".join(traceback.format_exception(error)).rstrip()
-        notify(StageEvent(run.scene, run.stage, "failed", reason, traceback=trace))
-        return run.refs, Failure(run.scene, run.stage, type(error).__name__, reason)
+        notify(StageEvent(name, run.stage, "failed", reason, traceback=trace))
+        return SceneResult(name, run.refs, Failure(name, run.stage, type(error).__name__, reason))
 
 
 def look_up_scenes(
-    scene_tasks: Iterable[SceneTask], store: ArtifactStore, refresh: frozenset[str] = frozenset()
+    scene_tasks: Sequence[SceneTask], store: ArtifactStore, refresh: frozenset[str] = frozenset()
 ) -> list[SceneResult]:
     """Return the stored results of scenes: a failure names the first stage without one.
 
@@ -214,32 +216,34 @@ def look_up_scenes(
     """
 
     def find(scene_task: SceneTask) -> SceneResult:
-        result = compute_scene(scene_task, store, 1, RunContext.notify, refresh, look_up=True)
-        return SceneResult(scene_task.scene, *result)
+        return compute_scene(scene_task, store, 1, RunContext.notify, refresh, look_up=True)
 
-    return store.map(find, list(scene_tasks))
+    return store.map(find, scene_tasks)
 
 
-def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Progress) -> Outcome:
-    """Compute all scene tasks on the workers of a flow; called within a Prefect flow.
+def map_scenes(scene_tasks: Sequence[SceneTask], workers: Workers, progress: Progress) -> Outcome:
+    """Compute all scene tasks on the workers of a flow, within it; show the progress.
 
     At most one batch per worker is submitted at a time, each with one scene in memory.
 
     Raises:
         DamagedError: At the end, if a scene needs a damaged artifact.
         StoreError: At once, if the store fails: each further scene would.
-        TooManyFailuresError: If more scenes are left out than ``workers.max_failures`` allows.
+        TooManyFailuresError: If more scenes are left out than ``max_failures`` allows.
         SLGaussianError: If the task runner accepts no more work.
     """
     outcome = Outcome()
+    if not scene_tasks:
+        return outcome
+    config, store, refresh = workers.config, workers.store, frozenset(workers.config.refresh)
     damaged: DamagedError | None = None
     waiting = deque(scene_tasks)
-    total = len(waiting)
-    if workers.only_missing:
-        stored = look_up_scenes(waiting, workers.store, workers.refresh)
+    if config.only_missing:
+        stored = look_up_scenes(scene_tasks, store, refresh)
         outcome.refs = {result.scene: result.refs for result in stored if result.failure is None}
         waiting = deque(t for t in waiting if t.scene not in outcome.refs)
-        progress.line(f"complete in the store: {len(outcome.refs)} of {total} {progress.unit}")
+        count = f"{len(outcome.refs)} of {len(scene_tasks)}"
+        progress.line(f"complete in the store: {count} {progress.unit}")
         progress.scenes, progress.total = len(waiting), len(waiting) * progress.stages
     retried_singly: deque[SceneTask] = deque()
     lost_before: set[str] = set()
@@ -252,12 +256,14 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
             raise StoppedError("stopped")
         news.put(event)
 
-    def submit(scenes: list[SceneTask]) -> None:
-        batch = workers.store.root, scenes, workers.count, workers.refresh
-        label = scenes[0].scene + (f" and {len(scenes) - 1} more" if scenes[1:] else "")
-        future = workers.submit(run_batch, {"label": label, "pickled": pickle.dumps(batch)})
-        running[future] = scenes, workers.runner
-        future.add_done_callback(news.put)
+    def collect(result: SceneResult) -> None:
+        for event in result.events:
+            progress.update(event)
+        if result.failure is None:
+            outcome.refs[result.scene] = result.refs
+        else:
+            outcome.failures.append(result.failure)
+            outcome.partial[result.scene] = result.refs
 
     def retry(scenes: list[SceneTask], runner: TaskRunner[Any], error: BaseException) -> None:
         died, reason = type(error).__name__ in DEAD_WORKER_ERRORS, last_line(str(error))
@@ -266,36 +272,30 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         text = f"its worker {event_text} twice, the second time with no other scene"
         if died:
             text += "; it may need more memory than there is: try it with --workers 1"
-        for scene_task in scenes:
-            if scene_task.scene in lost_before:
-                scene, stage = scene_task.scene, scene_task.first
-                kind = "WorkerDied" if died else "WorkerRaised"
-                outcome.failures.append(Failure(scene, stage, kind, text))
-                progress.update(StageEvent(scene, stage, "failed", text))
-            else:
-                lost_before.add(scene_task.scene)
-                retried_singly.append(scene_task)
-        if died:
             workers.restart(runner)
-
-    def collect(results: list[SceneResult]) -> None:
-        for result in results:
-            for event in result.events:
-                progress.update(event)
-            if result.failure is None:
-                outcome.refs[result.scene] = result.refs
+        for scene_task in scenes:
+            scene, stage = scene_task.scene, scene_task.first
+            if scene in lost_before:
+                failure = Failure(scene, stage, "WorkerDied" if died else "WorkerRaised", text)
+                collect(SceneResult(scene, {}, failure, [StageEvent(scene, stage, "failed", text)]))
             else:
-                outcome.failures.append(result.failure)
-                outcome.partial[result.scene] = result.refs
+                lost_before.add(scene)
+                retried_singly.append(scene_task)
 
-    with run_context(RunContext(workers.store, notify=notify)):
+    with run_context(RunContext(store, notify=notify)), progress:
         try:
             while waiting or retried_singly or running:
-                while waiting and len(running) < workers.count:
-                    size = max(1, min(MAX_BATCH, len(waiting) // (2 * workers.count)))
-                    submit([waiting.popleft() for _ in range(size)])
-                if retried_singly and not running:
-                    submit([retried_singly.popleft()])
+                while (waiting and len(running) < config.workers) or (
+                    retried_singly and not running
+                ):
+                    size = max(1, min(MAX_BATCH, len(waiting) // (2 * config.workers)))
+                    scenes = [(waiting or retried_singly).popleft() for _ in range(size)]
+                    batch = store.root, scenes, config.workers, refresh
+                    label = scenes[0].scene + (f" and {size - 1} more" if scenes[1:] else "")
+                    parameters = {"label": label, "pickled": pickle.dumps(batch)}
+                    future = workers.submit(run_batch, parameters)
+                    running[future] = scenes, workers.runner
+                    future.add_done_callback(news.put)
                 event = news.get()
                 if isinstance(event, StageEvent):
                     progress.update(event)
@@ -312,12 +312,13 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
                 except Exception as error:  # each task runner has its own
                     retry(scenes, runner, error)
                 else:
-                    collect(results)
-                check_failures(outcome, workers.max_failures, total)
+                    for result in results:
+                        collect(result)
+                check_failures(outcome, config.max_failures, len(scene_tasks))
         finally:
             stopped.set()
-    if damaged is not None:
-        raise damaged
+        if damaged is not None:
+            raise damaged
     outcome.failures.sort(key=lambda failure: failure.scene)
     return outcome
 
@@ -339,16 +340,6 @@ def check_failures(outcome: Outcome, max_failures: float, total: int) -> None:
             "raise max_failures, and run again: what is finished is in the store",
             failures,
         )
-
-
-def map_with_progress(
-    scene_tasks: Sequence[SceneTask], workers: Workers, stages: int, unit: str, verbose: bool
-) -> Outcome:
-    """Run :func:`map_scenes` with a progress display; do nothing without tasks."""
-    if not scene_tasks:
-        return Outcome()
-    with Progress(len(scene_tasks), stages, verbose, unit=unit) as progress:
-        return map_scenes(scene_tasks, workers, progress)
 
 
 def write_failures(out: Path, failures: Sequence[Failure]) -> None:

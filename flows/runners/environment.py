@@ -12,7 +12,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -131,25 +130,8 @@ def interruptible() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def perform(command: str, config: Any, verbose: bool = False) -> Any:
-    """Run the flow of a command, and return its result.
-
-    Raises:
-        SLGaussianError: As the flow, and if the Prefect server fails.
-    """
-    store = ArtifactStore(config.store)
-    with orchestration(store) as wait_for_server:
-        # The imports take as long as the start of the server.
-        place, name = FLOWS[command].split(":")
-        module = import_module(place)
-        if hasattr(module, "check"):
-            module.check(config, store)
-        wait_for_server()
-        return call_flow(getattr(module, name), config, verbose)
-
-
 def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
-    """Call a flow that ends in :func:`flows.runners.session.final_state`; return its result.
+    """Call a flow that ends in :func:`flows.runners.session.final`; return its result.
 
     Also if that state is Failed. If the server fails after the work is done, e.g. because its disk
     is full, only the final state is lost.

@@ -53,13 +53,11 @@ class Progress:
         unit: str = "scenes",
     ) -> None:
         self.scenes, self.stages, self.unit, self.verbose = scenes, stages, unit, verbose
-        self.steps, self.total = 0, scenes * stages
-        self.done, self.failed = 0, 0
+        self.steps, self.total, self.done, self.failed = 0, scenes * stages, 0, 0
         self.console = Console(
             file=stream or sys.stderr, markup=False, highlight=False, emoji=False, soft_wrap=True
         )
-        self.start = self.last_line = time.perf_counter()
-        self.publish_at = self.start
+        self.start = self.last_line = self.publish_at = time.perf_counter()
         self.active: dict[str, str] = {}
         self.of_scene: defaultdict[str, list[StageEvent]] = defaultdict(list)
         line = Column(ratio=1, no_wrap=True, overflow="ellipsis")
@@ -89,18 +87,16 @@ class Progress:
 
     def update(self, event: StageEvent) -> None:
         """Count and display a change of state of a stage."""
-        scene, stage = event.scene, event.stage
-        match event.state:
-            case "running":
-                text = f"{scene}: {stage}" + (f" ({event.message})" if event.message else "")
-                self.active[scene] = text
-                silent = time.perf_counter() - self.last_line
-                if event.message and silent > MESSAGE_SECONDS and not self.console.is_terminal:
-                    self.line(text)
-            case "completed" | "cached":
-                self._finished(event)
-            case "failed":
-                self._failed(event)
+        scene = event.scene
+        if event.state == "running":
+            text = f"{scene}: {event.stage}" + (f" ({event.message})" if event.message else "")
+            self.active[scene] = text
+            silent = time.perf_counter() - self.last_line
+            if event.message and silent > MESSAGE_SECONDS and not self.console.is_terminal:
+                self.line(text)
+        else:
+            self.active.pop(scene, None)
+            (self._count_failure if event.state == "failed" else self._count_stage)(event)
         texts = self._counts()
         if self.scenes > 1 and self.done:
             rate = 60 * self.done / (time.perf_counter() - self.start)
@@ -149,9 +145,8 @@ class Progress:
         failed = [f"{self.failed} failed"] if self.failed else []
         return [f"{self.done}/{self.scenes} {self.unit}", *failed] if self.scenes > 1 else []
 
-    def _finished(self, event: StageEvent) -> None:
+    def _count_stage(self, event: StageEvent) -> None:
         scene, cached = event.scene, event.state == "cached"
-        self.active.pop(scene, None)
         self.steps += 1
         events = self.of_scene[scene]
         events.append(event)
@@ -165,11 +160,9 @@ class Progress:
                 texts.append(f"{rest} stages cached")
             self.line(f"{scene}  {' · '.join(texts)}")
 
-    def _failed(self, event: StageEvent) -> None:
-        scene = event.scene
-        self.active.pop(scene, None)
+    def _count_failure(self, event: StageEvent) -> None:
         self.failed += 1
-        self.total -= self.stages - len(self.of_scene[scene])
-        self.line(f"{scene}  left out at {event.stage}: {event.message}", logging.ERROR)
+        self.total -= self.stages - len(self.of_scene[event.scene])
+        self.line(f"{event.scene}  left out at {event.stage}: {event.message}", logging.ERROR)
         if event.traceback:
             (self.line if self.verbose else logger.error)(event.traceback)

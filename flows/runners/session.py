@@ -18,21 +18,15 @@ from uuid import UUID
 
 from prefect import artifacts
 from prefect.client.orchestration import get_client
-from prefect.client.schemas.filters import (
-    FlowRunFilter,
-    FlowRunFilterId,
-    TaskRunFilter,
-    TaskRunFilterState,
-    TaskRunFilterStateType,
-)
-from prefect.client.schemas.objects import StateType
+from prefect.client.schemas.filters import FlowRunFilter, TaskRunFilter
 from prefect.events.worker import EventsWorker
 from prefect.logging.handlers import APILogHandler
 from prefect.runtime import deployment, flow_run
 from prefect.states import Cancelled, State
 
+from flows.config import Engine
 from flows.runners import logger
-from flows.runners.batches import Failure, TooManyFailuresError, state_after, write_failures
+from flows.runners.batches import TooManyFailuresError, write_failures
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import __version__
 from slgaussian.benchmark.mlflow_log import log_results
@@ -42,6 +36,7 @@ from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.store import ArtifactStore, DamagedError
 
 Result = TypeVar("Result")
+Config = TypeVar("Config", bound=Any)
 
 RESULTS: list[Any] = []
 """Result of the last flow of this process, even if the server has not received it."""
@@ -53,8 +48,13 @@ MAX_ROWS = 500
 """Largest number of rows of a table artifact, which Prefect shows on one page."""
 
 
-def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Result]) -> Result:
-    """Do the work of a flow with its store, and repair damaged artifacts.
+def run_session(
+    command: str,
+    config: Config,
+    work: Callable[[Config, ArtifactStore, bool], Result],
+    verbose: bool,
+) -> Result:
+    """Do the work of a flow with its configuration and store, and repair damaged artifacts.
 
     An artifact that is found damaged is removed, and the work is repeated: that recomputes the
     artifact and finds the others in the store. A signal closes the tasks on an external server.
@@ -69,13 +69,13 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
     store = ArtifactStore(config.store)
     if deployment.id is not None:
         threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
-    damaged: dict[str, str] = {}
+    damaged = dict[str, str]()
     check_folder(config.out)
     _tag_run(command, dict(config))
     with record_provenance(Provenance(command)):
         while True:
             try:
-                result = work(store)
+                result = work(config, store, verbose)
                 if message := log_results(command, config.out, getattr(config, "models", None)):
                     logger.warning(message)
                     print(f"warning: {message}", file=sys.stderr)
@@ -133,15 +133,10 @@ def _close_tasks() -> None:
     EventsWorker.drain_all(timeout=CLOSE_TIMEOUT)  # else a task that starts now may follow
     try:
         with get_client(sync_client=True) as client:
-            open_tasks = client.read_task_runs(
-                flow_run_filter=FlowRunFilter(id=FlowRunFilterId(any_=[UUID(flow_run.id)])),
-                task_run_filter=TaskRunFilter(
-                    state=TaskRunFilterState(
-                        type=TaskRunFilterStateType(any_=[StateType.PENDING, StateType.RUNNING])
-                    )
-                ),
-            )
-            for task_run in open_tasks:
+            ours = FlowRunFilter.model_validate({"id": {"any_": [flow_run.id]}})
+            is_open = {"state": {"type": {"any_": ["PENDING", "RUNNING"]}}}
+            open_tasks = TaskRunFilter.model_validate(is_open)
+            for task_run in client.read_task_runs(flow_run_filter=ours, task_run_filter=open_tasks):
                 state: State[Any] = Cancelled(message="the run was stopped")
                 client.set_task_run_state(task_run.id, state, force=True)
     except Exception as error:  # the server may have stopped too
@@ -156,13 +151,6 @@ def _exit_at_once() -> None:
     os._exit(128 + signal.SIGTERM)
 
 
-def final_state(
-    message: str, result: Result, failures: Sequence[Failure] = (), nothing_left: bool = False
-) -> State[Result]:
-    """Return the final state of a flow, by :func:`flows.runners.batches.state_after`."""
-    return final(state_after(message, result, failures, nothing_left))
-
-
 def final(state: State[Result]) -> State[Result]:
     """Record the result of a final state; one that is not Completed then raises its message."""
     RESULTS[:] = [state.data]
@@ -171,15 +159,14 @@ def final(state: State[Result]) -> State[Result]:
     return state
 
 
-def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:
-    """Return ``config.refresh``; InputError if an element is no stage of the flow."""
+def check_refresh(config: Engine, stages: Sequence[str]) -> None:
+    """Raise InputError if an element of ``config.refresh`` is no stage of the flow."""
     for name in config.refresh:
         if name not in stages:
             raise InputError(
                 f"refresh: found {name!r}, expected one of the stages {', '.join(stages)}"
                 f"{did_you_mean(name, stages)}"
             )
-    return frozenset(config.refresh)
 
 
 @contextmanager

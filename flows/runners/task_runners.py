@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 import multiprocessing
 import os
 import secrets
@@ -32,6 +31,7 @@ from prefect.futures import PrefectFuture
 from prefect.logging.handlers import set_api_log_sink
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
+from flows.config import Engine
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import install_line
 from slgaussian.storage.store import ArtifactStore, DamagedError
@@ -69,17 +69,11 @@ class Workers:
 
     Attributes:
         store: Store of the results.
-        count: Number of concurrent tasks.
-        refresh: frozenset of str. Stages to recompute.
-        max_failures: Number of scenes that may be left out, or share if below 1.
-        only_missing: Submit only scenes without a complete result in the store.
+        stack: Holds all task runners open.
     """
 
+    config: Engine
     store: ArtifactStore
-    count: int
-    refresh: frozenset[str]
-    max_failures: float
-    only_missing: bool
     runner: TaskRunner[Any]
     stack: ExitStack
 
@@ -102,15 +96,8 @@ class Workers:
 
 
 @contextmanager
-def open_workers(
-    name: str,
-    count: int,
-    store: ArtifactStore,
-    refresh: frozenset[str] = frozenset(),
-    max_failures: float = math.inf,
-    only_missing: bool = False,
-) -> Iterator[Workers]:
-    """Open the task runner of a name, within a Prefect flow.
+def open_workers(config: Engine, store: ArtifactStore) -> Iterator[Workers]:
+    """Open the task runner of a configuration, within a Prefect flow.
 
     When a signal ends the block, workers are killed, so that the program ends immediately.
 
@@ -118,13 +105,13 @@ def open_workers(
         InputError: As :func:`check_runner`, if the cluster refuses the connection, or no worker can
             do the work.
     """
-    check_runner(name)
+    check_runner(config.runner)
     with ExitStack() as stack:
         try:
-            runner = stack.enter_context(_task_runner(name, count))
-            workers = Workers(store, count, refresh, max_failures, only_missing, runner, stack)
-            if "://" in name:
-                _check_workers(name, workers)
+            runner = stack.enter_context(_task_runner(config.runner, config.workers))
+            workers = Workers(config, store, runner, stack)
+            if "://" in config.runner:
+                _check_workers(workers)
             yield workers
         except BaseException as error:
             if not isinstance(error, Exception):
@@ -158,9 +145,9 @@ def roll_call(root: str, probe: str) -> None:
     store.check_writable()
 
 
-def _check_workers(name: str, workers: Workers) -> None:
+def _check_workers(workers: Workers) -> None:
     """Run :func:`roll_call` on a worker; InputError if it fails, or there is no worker."""
-    store, probe = workers.store, f".probe-{uuid.uuid4().hex}"
+    name, store, probe = workers.config.runner, workers.store, f".probe-{uuid.uuid4().hex}"
     store.write(probe, b"")
     parameters = {"root": store.root, "probe": probe}
     try:

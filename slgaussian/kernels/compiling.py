@@ -7,6 +7,8 @@ import time
 from functools import cache
 
 _local = threading.local()
+_importing = threading.Lock()
+"""Two threads that import Numba at once may wait for each other for ever."""
 
 
 @cache
@@ -33,7 +35,8 @@ def _listen() -> None:
 
 def spent() -> float:
     """Return the seconds since the first call that this thread has compiled or waited for it."""
-    _listen()
+    with _importing:
+        _listen()
     return getattr(_local, "seconds", 0.0)
 
 

@@ -47,7 +47,7 @@ def score(settings, store, verbose: bool = False):
     return call_flow(score_scenes, settings.model_copy(update={"store": store.root}), verbose)
 
 
-def said(capsys) -> str:
+def read_error(capsys) -> str:
     """Return the error message, one sentence, without the note that kernels are compiled."""
     lines = capsys.readouterr().err.splitlines(keepends=True)
     error = "".join(line for line in lines if not line.startswith("compiling kernels"))

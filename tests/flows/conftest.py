@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from command import run, said, two_walls
+from command import read_error, run, two_walls
+
+from slgaussian.storage.store import ArtifactStore
 
 
 @pytest.fixture
@@ -38,9 +40,14 @@ def refusal(monkeypatch, capsys):
     def call(*words):
         capsys.readouterr()
         assert run(monkeypatch, *words) == 2
-        return said(capsys)
+        return read_error(capsys)
 
     return call
+
+
+@pytest.fixture
+def store(tmp_path) -> ArtifactStore:
+    return ArtifactStore(tmp_path / "store")
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ def below(process: int) -> dict[int, str]:
     children = defaultdict(list)
     begun = {}
     for number in map(int, filter(str.isdigit, os.listdir(PROC))):
-        if (fields := stat_of(number)) is not None:
+        if (fields := read_stat(number)) is not None:
             children[int(fields[1])].append(number)
             begun[number] = fields[19]
     result, waiting = {}, [process]
@@ -32,7 +32,7 @@ def living(processes: dict[int, str]) -> list[str]:
     """Return the command lines of descendants that are still alive."""
     result = []
     for number, begun in processes.items():
-        fields = stat_of(number)
+        fields = read_stat(number)
         if fields is not None and fields[19] == begun and fields[0] not in "ZX":
             result.append((PROC / f"{number}/cmdline").read_bytes().replace(b"\0", b" ").decode())
     return result
@@ -54,7 +54,7 @@ def listening(process: int) -> list[tuple[str, str]]:
     return places
 
 
-def stat_of(process: int) -> list[str] | None:
+def read_stat(process: int) -> list[str] | None:
     """Return the fields of ``stat`` after the name; None if the process does not exist."""
     try:
         return (PROC / f"{process}/stat").read_text().rpartition(")")[2].split()

@@ -1,21 +1,16 @@
 """Alerts by a real Prefect server to a real webhook, after real ends of runs."""
 
-import http.server
-import json
-import os
-import queue
 import shutil
-import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import httpx
 import pytest
 from prefect.settings import PREFECT_API_URL, temporary_settings
+from tiny_program import wait_until
+from web import call_prefect, receive_json, serve_prefect, start_prefect
 
 from flows.automations import apply_automations, read_automations
 
@@ -51,39 +46,17 @@ assert [call_flow(end, outcome) for outcome in STATE_TYPES] == [*STATE_TYPES]
 @pytest.fixture(scope="module")
 def alerts():
     """A webhook on this machine: its URL, and a queue of what it received."""
-    received: queue.Queue = queue.Queue()
-
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_POST(self):
-            received.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(200)
-            self.end_headers()
-
-        def log_message(self, *words):
-            pass
-
-    with http.server.HTTPServer(("127.0.0.1", 0), Handler) as hook:
-        threading.Thread(target=hook.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{hook.server_port}/", received
-        hook.shutdown()
+    with receive_json() as hook:
+        yield hook
 
 
 @pytest.fixture(scope="module")
 def full_server(tmp_path_factory, alerts):
     """Environment of programs that use a server with all its services and our automations."""
-    home = tmp_path_factory.mktemp("prefect")
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    url = f"http://127.0.0.1:{port}/api"
-    ours = "SLGAUSSIAN_", "PREFECT_"  # set by other tests
-    env = {name: value for name, value in os.environ.items() if not name.startswith(ours)}
-    env |= {"PREFECT_HOME": str(home), "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
-    env |= {"PREFECT_API_URL": url, "PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30"}
-    command = [sys.executable, "-m", "prefect", "server", "start", "--port", str(port)]
-    with (home / "log").open("wb") as log:
-        server = subprocess.Popen(command, env=env, stdout=log, stderr=log, start_new_session=True)
-    try:
-        wait(lambda: answers(f"{url}/health"), 120)
+    variables = {"PREFECT_FLOWS_HEARTBEAT_FREQUENCY": "30"}
+    with serve_prefect(tmp_path_factory.mktemp("prefect"), **variables) as env:
+        url = env["PREFECT_API_URL"]
+        assert wait_until(lambda: is_ready(f"{url}/health"), 120)
         automations = read_automations()
         for automation in automations:
             if automation["trigger"]["posture"] == "Proactive":
@@ -94,23 +67,13 @@ def full_server(tmp_path_factory, alerts):
         stored = httpx.post(f"{url}/automations/filter", json={}).json()
         assert [a["name"] for a in stored] == [a["name"] for a in automations]
         yield env
-    finally:
-        os.killpg(server.pid, signal.SIGKILL)
-        server.wait()
 
 
-def answers(url):
+def is_ready(url):
     try:
         return httpx.get(url).is_success
     except httpx.HTTPError:
         return False
-
-
-def wait(condition, seconds):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.3)
 
 
 def receive(alerts, state) -> dict:
@@ -126,7 +89,6 @@ def start(env, folder, *rooms) -> subprocess.Popen:
     (folder / "run.toml").write_text("".join(ROOM.format(*room) for room in rooms))
     program = "from flows.cli.app import main; main()"
     command = [sys.executable, "-c", program, "run", "run.toml", "-o", "out"]
-    env = {**env, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, cwd=folder, env=env)
 
 
@@ -145,8 +107,7 @@ def test_a_run_that_left_scenes_out_tells_the_webhook(full_server, alerts, tmp_p
 
 
 def test_outcomes_to_look_at_tell_the_webhook_and_others_do_not(full_server, alerts):
-    env = {**full_server, "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-c", STATES], env=env, check=True, timeout=120)
+    subprocess.run([sys.executable, "-c", STATES], env=full_server, check=True, timeout=120)
     states = set()
     while not states >= {"Refused", "Regressed"}:
         states.add(alerts[1].get(timeout=60)["state"])
@@ -157,7 +118,7 @@ def test_a_killed_run_is_marked_as_crashed_and_tells_the_webhook(full_server, al
     run = start(full_server, tmp_path / "run", *((f"room {k}", k, 30) for k in range(8)))
     runs = f"{full_server['PREFECT_API_URL']}/flow_runs/filter"
     running = {"flow_runs": {"state": {"type": {"any_": ["RUNNING"]}}}}
-    wait(lambda: httpx.post(runs, json=running).json(), 120)
+    assert wait_until(lambda: httpx.post(runs, json=running).json(), 120)
     time.sleep(5)  # the first heartbeat is on its way
     run.kill()
     run.wait()
@@ -167,29 +128,26 @@ def test_a_killed_run_is_marked_as_crashed_and_tells_the_webhook(full_server, al
 
 def test_a_cancelled_run_closes_its_tasks_and_logs_no_traceback(full_server, tmp_path):
     """Cancelled as from Prefect's page, in a worker's process, while threads compute stages."""
-    env = {**full_server, "PYTHONPATH": str(ROOT)}
     shutil.copy(ROOT / "prefect.yaml", tmp_path)
-    prefect = [sys.executable, "-m", "prefect"]
-    for words in ("work-pool create slgaussian --type process", "--no-prompt deploy --name report"):
-        subprocess.run([*prefect, *words.split()], cwd=tmp_path, env=env, check=True, timeout=120)
+    call_prefect(tmp_path, full_server, *["work-pool", "create", "slgaussian", "--type", "process"])
+    call_prefect(tmp_path, full_server, "deploy", "--name", "report")
     api = httpx.Client(base_url=full_server["PREFECT_API_URL"], timeout=60)
-    with (tmp_path / "log").open("wb") as log:
-        command = [*prefect, "worker", "start", "--pool", "slgaussian"]
-        worker = subprocess.Popen(command, cwd=tmp_path, env=env, stdout=log, stderr=log)
-    try:
+
+    def list_open_tasks():
+        return api.post("/task_runs/filter", json=open_tasks).json()
+
+    with start_prefect(tmp_path, full_server, "worker", "start", "--pool", "slgaussian") as log:
         deployment = api.get("/deployments/name/slgaussian/report").json()["id"]
         config = {"rooms": "0-9", "out": str(tmp_path / "out"), "store": str(tmp_path / "store")}
         ordered = {"parameters": {"config": config}}
         run = api.post(f"/deployments/{deployment}/create_flow_run", json=ordered).json()["id"]
         of_run = {"flow_runs": {"id": {"any_": [run]}}}
         open_tasks = {**of_run, "task_runs": {"state": {"type": {"any_": ["PENDING", "RUNNING"]}}}}
-        wait(lambda: len(api.post("/task_runs/filter", json=open_tasks).json()) > 2, 120)
+        assert wait_until(lambda: len(list_open_tasks()) > 2, 120)
         cancel = {"state": {"type": "CANCELLING"}}
         assert api.post(f"/flow_runs/{run}/set_state", json=cancel).is_success
-        wait(lambda: api.get(f"/flow_runs/{run}").json()["state_type"] == "CANCELLED", 90)
-        wait(lambda: api.post("/task_runs/filter", json=open_tasks).json() == [], 30)
-    finally:
-        worker.send_signal(signal.SIGINT)
-        worker.wait(timeout=60)
-    text = (tmp_path / "log").read_text()
+        flow_run = f"/flow_runs/{run}"
+        assert wait_until(lambda: api.get(flow_run).json()["state_type"] == "CANCELLED", 90)
+        assert wait_until(lambda: list_open_tasks() == [], 30)
+    text = log.read_text()
     assert "was cancelled" in text and "Traceback" not in text, text

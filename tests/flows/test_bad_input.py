@@ -50,11 +50,11 @@ def no_camera(folder, frame):
     frame.update(file_path="images/elsewhere.png", fl_x=90, transform_matrix=np.eye(4).tolist())
 
 
-def skewed(folder, frame):
+def skew_pose(folder, frame):
     frame["transform_matrix"][0][1] += 0.3
 
 
-def turned(degrees, move=1.0):
+def turn_pose(degrees, move=1.0):
     """Return the pose of the first photograph, rotated and moved."""
 
     def damage(folder, frame):
@@ -86,9 +86,9 @@ BAD = {
     "same picture": (same_picture, "ingest", SAME),
     "other size": (other_size, "ingest", "view_02.png: is 48x32, but transforms.json says 144x96"),
     "no camera": (no_camera, "ingest", "images/elsewhere.png"),
-    "skewed pose": (skewed, "ingest", "'images/view_02.png': camera c2w: its 3x3 part is not a"),
-    "same camera": (turned(0), "ingest", "taken from the same position"),
-    "looks away": (turned(180, move=1.1), "geometry", APART),
+    "skewed pose": (skew_pose, "ingest", "'images/view_02.png': camera c2w: its 3x3 part is not a"),
+    "same camera": (turn_pose(0), "ingest", "taken from the same position"),
+    "looks away": (turn_pose(180, move=1.1), "geometry", APART),
 }
 
 

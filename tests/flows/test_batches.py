@@ -15,38 +15,25 @@ from flows.runners.batches import (
     run_batch,
     write_failures,
 )
-from flows.runners.session import stages_to_refresh
+from flows.runners.session import check_refresh
 from slgaussian.errors import InputError
-from slgaussian.storage.store import ArtifactStore, DamagedError, StoreError
+from slgaussian.storage.store import DamagedError, StoreError
 
 pytestmark = pytest.mark.usefixtures("server")
 
 
 @pytest.fixture
-def store(tmp_path):
-    return ArtifactStore(tmp_path / "store")
-
-
-class Runs:
-    """Runner of two scenes that lists the executed stages; all artifacts differ."""
-
-    def __init__(self, store, folder):
-        self.store, self.log = store, folder / "log"
-
-    def __call__(self, a=6, b=20, extra=1):
-        self.log.write_text("")
-        scenes = {
-            "a": tiny(a, extra, self.log),
-            "b": tiny(b, extra, self.log),
-        }
-        outcome = run_tiny(self.store, scenes)
-        assert outcome.failures == []
-        return outcome, sorted(self.log.read_text().splitlines())
-
-
-@pytest.fixture
 def runs(store, tmp_path):
-    return Runs(store, tmp_path)
+    """Run two scenes, all of whose artifacts differ; return outcome and executed stages."""
+    log = tmp_path / "log"
+
+    def run(a=6, b=20, extra=1):
+        log.write_text("")
+        outcome = run_tiny(store, {"a": tiny(a, extra, log), "b": tiny(b, extra, log)})
+        assert outcome.failures == []
+        return outcome, sorted(log.read_text().splitlines())
+
+    return run
 
 
 ALL = ["a add", "a halve", "a make", "b add", "b halve", "b make"]
@@ -100,10 +87,10 @@ def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
     run_tiny(store, {"a": tiny(6, 1, log)})
     assert log.read_text() == ""
     with pytest.raises(InputError, match="'haive', expected one of the stages make"):
-        stages_to_refresh(SimpleNamespace(refresh=["haive"]), ["make", "halve"])
+        check_refresh(SimpleNamespace(refresh=["haive"]), ["make", "halve"])
 
 
-def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
+def test_map_scenes_leaves_out_bad_scenes_by_name(store, tmp_path):
     log = tmp_path / "log"
     scenes = {
         "good": tiny(4, 1, log),
@@ -133,7 +120,7 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     ("bad", "limit", "stops"),
     [(3, 0.5, 0), (25, 0.5, 21), (25, 30, 0), (25, 2, 3), (30, 0.9, 21), (30, 1e9, 0)],
 )
-def test_a_run_stops_when_more_is_left_out_than_allowed(store, tmp_path, bad, limit, stops):
+def test_map_scenes_stops_beyond_max_failures(store, tmp_path, bad, limit, stops):
     log = tmp_path / "log"
     scenes = {f"{k:02d}": tiny(-1 if k < bad else 4, 1, log) for k in range(32)}
     if not stops:

@@ -14,7 +14,7 @@ import pytest
 from command import files_below, save_photographs
 
 from flows import clip_sources, corpus
-from flows.clip_sources import sources_of
+from flows.clip_sources import find_sources
 from flows.config import CorpusSettings
 from flows.read_config import make_settings
 from flows.runners.environment import call_flow
@@ -28,7 +28,7 @@ from slgaussian.storage.store import ArtifactRef, ArtifactStore
 pytestmark = pytest.mark.usefixtures("server")
 
 
-def clip_of(seed: int, views: int = 6) -> re10k.Clip:
+def make_clip(seed: int, views: int = 6) -> re10k.Clip:
     size = {"height": 90, "width": 160}
     room = datasets.load("procedural", seed=seed, objects=4, views=views, baseline=1.0, **size)
     return re10k.clip_of(room)
@@ -36,10 +36,10 @@ def clip_of(seed: int, views: int = 6) -> re10k.Clip:
 
 @pytest.fixture(scope="module")
 def clips():
-    return [clip_of(seed) for seed in range(3)]
+    return [make_clip(seed) for seed in range(3)]
 
 
-def aged(folder: Path) -> None:
+def make_old(folder: Path) -> None:
     """Give chunks an old modification time."""
     for file in folder.glob("*.torch"):
         os.utime(file, (time.time() - 60,) * 2)
@@ -70,21 +70,21 @@ def reads(monkeypatch):
 
     counts, load = Counter(), ComponentConfig.load
 
-    def counted(name, function):
+    def count(name, function):
         def call(*args, **kwargs):
             counts[name] += 1
             return function(*args, **kwargs)
 
         return call
 
-    def loaded(part, *args):
+    def load_counted(part, *args):
         output = load(part, *args)
-        return counted("predicted", output) if part.kind == "predictor" else output
+        return count("predicted", output) if part.kind == "predictor" else output
 
-    digest = counted("hashed", chunks.hashlib.file_digest)
+    digest = count("hashed", chunks.hashlib.file_digest)
     monkeypatch.setattr(chunks.hashlib, "file_digest", digest)
-    monkeypatch.setattr(re10k, "read_chunk", counted("opened", re10k.read_chunk))
-    monkeypatch.setattr(ComponentConfig, "load", loaded)
+    monkeypatch.setattr(re10k, "read_chunk", count("opened", re10k.read_chunk))
+    monkeypatch.setattr(ComponentConfig, "load", load_counted)
 
     def take():
         picked = dict(counts)
@@ -95,18 +95,18 @@ def reads(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def supervised(tmp_path_factory, clips, server):
+def lesson_corpus(tmp_path_factory, clips, server):
     """Two chunks, supervised."""
     folder = tmp_path_factory.mktemp("corpus")
     for clip in clips[:2]:
         re10k.write(folder / "chunks", [clip])
-    aged(folder / "chunks")
+    make_old(folder / "chunks")
     store = ArtifactStore(folder / "store")
     return folder, store, run_flow("supervise", settings_for(folder), store)
 
 
-def test_every_view_and_sample_is_in_a_table_and_every_sample_has_a_lesson(supervised, clips):
-    folder, store, output = supervised
+def test_every_view_and_sample_is_in_a_table_and_every_sample_has_a_lesson(lesson_corpus, clips):
+    folder, store, output = lesson_corpus
     views = table(folder, "views")
     assert [(v["chunk"], v["clip"], v["frame"]) for v in views] == [
         (f"chunks/00000{n}.torch", clip.key, frame)
@@ -137,30 +137,28 @@ def test_every_view_and_sample_is_in_a_table_and_every_sample_has_a_lesson(super
         assert row["unlabelled_target"] == (lesson.targets == 0).mean() < 0.2
 
 
-def test_what_is_unchanged_is_not_read_again_and_what_is_new_alone_is(
-    supervised, clips, reads, tmp_path
-):
-    folder, store, _ = supervised
+def test_ingest_and_supervise_read_only_new_chunks(lesson_corpus, clips, reads, tmp_path):
+    folder, store, _ = lesson_corpus
     before = files_below(folder / "out", TIMED)
     run_flow("supervise", settings_for(folder), store)
     assert reads() == {}
     assert files_below(folder / "out", TIMED) == before
     for file in (folder / "chunks").glob("*.torch"):
         os.utime(file)
-    aged(folder / "chunks")
+    make_old(folder / "chunks")
     run_flow("ingest", settings_for(folder, out=tmp_path), store)
     assert reads() == {"hashed": 2}
     extra = tmp_path / "corpus"
     shutil.copytree(folder / "chunks", extra / "chunks")
     re10k.write(extra / "chunks", [clips[2]])
-    aged(extra / "chunks")
+    make_old(extra / "chunks")
     run_flow("ingest", settings_for(extra), store)
     assert reads() == {"hashed": 3, "opened": 1}
     assert len(table(extra, "views")) == 18
 
 
-def test_a_lost_lesson_is_made_again(supervised, reads):
-    folder, store, _ = supervised
+def test_supervise_computes_a_lost_lesson_again(lesson_corpus, reads):
+    folder, store, _ = lesson_corpus
     row = table(folder, "lessons")[0]
     file = Path(store.path) / row["uri"]
     complete = file.read_bytes()
@@ -170,8 +168,8 @@ def test_a_lost_lesson_is_made_again(supervised, reads):
     assert reads() == {"opened": 1}
 
 
-def test_another_store_and_worker_count_give_the_same_bytes(supervised, tmp_path):
-    folder, _, _ = supervised
+def test_another_store_and_worker_count_give_the_same_bytes(lesson_corpus, tmp_path):
+    folder, _, _ = lesson_corpus
     store = ArtifactStore(tmp_path / "store")
     sources = [str(folder / "chunks")]
     run_flow("supervise", settings_for(tmp_path, sources=sources, workers=1), store)
@@ -180,8 +178,8 @@ def test_another_store_and_worker_count_give_the_same_bytes(supervised, tmp_path
     assert lessons.items() <= files_below(folder / "store" / "lesson").items()
 
 
-def test_what_is_bad_costs_itself_alone(clips, tmp_path):
-    good, bad, short = clips[0], clips[1], clip_of(9, views=4)
+def test_ingest_leaves_out_damaged_chunks_clips_and_frames_only(clips, tmp_path):
+    good, bad, short = clips[0], clips[1], make_clip(9, views=4)
     cameras = bad.cameras.copy()
     cameras[1, 6:9] *= 3
     images = list(bad.images)
@@ -251,7 +249,7 @@ def test_scenes_become_clips_of_chunks(clips, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "named", ["garden", "garden/sparse/0", "garden/colmap/sparse/0", "garden/transforms.json"]
 )
-def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path, named):
+def test_find_sources_names_a_scene_after_its_folder(tmp_path, named):
     place = tmp_path / named
     if place.suffix:
         place.parent.mkdir()
@@ -259,7 +257,7 @@ def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path,
         place.symlink_to(tmp_path / "elsewhere")
     else:
         place.mkdir(parents=True)
-    assert [source.name for source in sources_of([str(place), "there=procedural:3-4"])] == [
+    assert [source.name for source in find_sources([str(place), "there=procedural:3-4"])] == [
         "garden", "procedural_3", "procedural_4",
     ]  # fmt: skip
 
@@ -272,13 +270,13 @@ def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path,
         (["nowhere"], "nowhere: is not there; expected a folder of photographs"),
     ],
 )
-def test_sources_that_cannot_be_are_one_sentence(sources, reason):
+def test_find_sources_refuses_bad_sources_in_one_sentence(sources, reason):
     with pytest.raises(InputError, match=reason):
-        sources_of(sources)
+        find_sources(sources)
 
 
-def test_the_command_prints_its_tables_and_what_it_left_out(supervised, tmp_path, slg):
-    folder, store, _ = supervised
+def test_the_command_prints_its_tables_and_what_it_left_out(lesson_corpus, tmp_path, slg):
+    folder, store, _ = lesson_corpus
     shutil.copytree(folder / "chunks", tmp_path / "chunks")
     words = ("ingest", tmp_path / "chunks", "-o", tmp_path / "out", "--store", store.path)
     status, out, errors = slg(*words)

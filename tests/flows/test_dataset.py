@@ -41,7 +41,7 @@ def room(seed: int, views: int = 4):
     return datasets.load("procedural", seed=seed, objects=4, views=views, baseline=1.0, **size)
 
 
-def folder_of(scene, folder: Path) -> Path:
+def write_folder(scene, folder: Path) -> Path:
     """The scene as a nerfstudio folder."""
     views = {f"images/{i}.png": scene.read(name) for i, name in enumerate(scene.cameras)}
     write_photographs(folder, views)
@@ -55,7 +55,7 @@ def settings_for(folder: Path, *sources, **extra):
     )
 
 
-def made_set(settings, store: ArtifactStore) -> dataset.TrainingSetResult:
+def make_set(settings, store: ArtifactStore) -> dataset.TrainingSetResult:
     return dataset.make_training_set(settings.model_copy(update={"store": store.root}))
 
 
@@ -69,10 +69,10 @@ def output(tmp_path_factory, server):
         )
     for file in (folder / "chunks").glob("*.torch"):
         os.utime(file, (time.time() - 60,) * 2)
-    kitchen = folder_of(room(2), folder / "kitchen")
+    kitchen = write_folder(room(2), folder / "kitchen")
     store = ArtifactStore(folder / "store")
     settings = settings_for(folder, folder / "chunks", f"here={kitchen}")
-    return folder, store, settings, made_set(settings, store)
+    return folder, store, settings, make_set(settings, store)
 
 
 def test_every_sample_is_in_the_index_and_in_a_shard(output):
@@ -157,19 +157,19 @@ def test_workers_and_shuffling_change_no_byte(output):
     assert len(orders) > 1 and {frozenset(order) for order in orders} == {frozenset(names)}
 
 
-def test_the_same_again_writes_nothing_and_more_only_new_shards(output, tmp_path):
+def test_dataset_writes_only_new_shards(output, tmp_path):
     folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
     before = files_below(tmp_path / "set")
     rerun = settings_for(tmp_path, *settings.sources)
-    assert made_set(rerun, store).new_shards == 0
+    assert make_set(rerun, store).new_shards == 0
     assert files_below(tmp_path / "set") == before
     afresh = settings_for(tmp_path / "other", *settings.sources)
-    made_set(afresh, store)
+    make_set(afresh, store)
     assert files_below(tmp_path / "other/set") == before
 
-    extra = folder_of(room(6), tmp_path / "hall")
-    grown = made_set(settings_for(tmp_path, *settings.sources, extra), store)
+    extra = write_folder(room(6), tmp_path / "hall")
+    grown = make_set(settings_for(tmp_path, *settings.sources, extra), store)
     after = files_below(tmp_path / "set")
     shards = {name for name in before if name.endswith(".tar")}
     assert grown.samples == 4 and grown.new_shards == 1
@@ -177,7 +177,7 @@ def test_the_same_again_writes_nothing_and_more_only_new_shards(output, tmp_path
     assert len({name for name in after if name.endswith(".tar")} - shards) == 1
 
 
-def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, tmp_path):
+def test_dataset_drops_withdrawn_clips_and_rewrites_damaged_shards(output, tmp_path):
     folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
     before = files_below(tmp_path / "set")
@@ -186,7 +186,7 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, t
     shard = tmp_path / "set" / row["shard"]
     data = shard.read_bytes()
     shard.write_bytes(data[:600] + b"\xff" + data[601:])
-    made_set(settings_for(tmp_path, settings.sources[0], keep_old_days=0), store)
+    make_set(settings_for(tmp_path, settings.sources[0], keep_old_days=0), store)
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
     assert "kitchen" not in {refs["clip"] for refs in rows} and len(rows) == 2
     result = {refs["sample"]: refs for refs in rows}[row["sample"]]
@@ -216,7 +216,7 @@ def test_a_reader_that_is_open_reads_on_after_an_update_until_the_delay_ends(out
     reader = TrainingSet(tmp_path / "set")
     rows = reader.rows.to_pylist()
     kitchen = settings_for(tmp_path, settings.sources[1])
-    assert made_set(kitchen, store).version == 2 and len(TrainingSet(tmp_path / "set")) == 1
+    assert make_set(kitchen, store).version == 2 and len(TrainingSet(tmp_path / "set")) == 1
     assert [reader[n]["sample"] for n in range(3)] == [row["sample"] for row in rows]
     shards = {row["shard"] for row in rows if row["clip"] != "kitchen"}
     retired = json.loads((tmp_path / "set/retired.json").read_text())
@@ -224,11 +224,11 @@ def test_a_reader_that_is_open_reads_on_after_an_update_until_the_delay_ends(out
     long_ago = [datetime.fromisoformat(time) - timedelta(days=7) for time in retired.values()]
     changed = dict(zip(retired, map(str, long_ago), strict=True))
     (tmp_path / "set/retired.json").write_text(json.dumps(changed))
-    assert made_set(kitchen, store).version == 2
+    assert make_set(kitchen, store).version == 2
     assert not shards & set(os.listdir(tmp_path / "set"))
     assert not (tmp_path / "set/retired.json").exists()
     # Names of shards are not given again: a reader may still expect the old ones.
-    assert made_set(settings_for(tmp_path, *settings.sources), store).version == 3
+    assert make_set(settings_for(tmp_path, *settings.sources), store).version == 3
     assert (
         not shards & set(os.listdir(tmp_path / "set")) and len(TrainingSet(tmp_path / "set")) == 3
     )
@@ -241,8 +241,8 @@ def test_a_manifest_says_what_came_and_went_and_why(output, tmp_path):
     shutil.copytree(folder / "set", tmp_path / "set")
     chunks, kitchen = settings.sources
     (tmp_path / "withdrawn").write_text("procedural_1\n")
-    made_set(settings_for(tmp_path, chunks, kitchen, withdrawn=tmp_path / "withdrawn"), store)
-    made_set(settings_for(tmp_path, chunks, images="png"), store)
+    make_set(settings_for(tmp_path, chunks, kitchen, withdrawn=tmp_path / "withdrawn"), store)
+    make_set(settings_for(tmp_path, chunks, images="png"), store)
     first, withdrawn, last = manifests(tmp_path)
     new = {"samples": 1, "why": "new clip"}
     assert first["came"] == dict.fromkeys(("kitchen", "procedural_0", "procedural_1"), new)
@@ -254,7 +254,7 @@ def test_a_manifest_says_what_came_and_went_and_why(output, tmp_path):
     for name, digest in last["shards"].items():
         assert file_sha256(tmp_path / "set" / name) == digest
     (tmp_path / "afresh").mkdir()
-    made_set(settings_for(tmp_path / "afresh", chunks, kitchen, shard_mb=5), store)
+    make_set(settings_for(tmp_path / "afresh", chunks, kitchen, shard_mb=5), store)
     (cut,) = manifests(tmp_path / "afresh")
     assert cut["digest"] == first["digest"] and cut["shards"] != first["shards"]
 
@@ -262,7 +262,7 @@ def test_a_manifest_says_what_came_and_went_and_why(output, tmp_path):
 def test_croissant_metadata_are_valid_and_describe_the_files(output, tmp_path):
     mlcroissant = pytest.importorskip("mlcroissant")
     _, store, settings, _ = output
-    made_set(settings_for(tmp_path, *settings.sources, licences={"kitchen": "CC0-1.0"}), store)
+    make_set(settings_for(tmp_path, *settings.sources, licences={"kitchen": "CC0-1.0"}), store)
     described = mlcroissant.Dataset(jsonld=tmp_path / "set/croissant.json")
     assert not described.metadata.ctx.issues.errors
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
@@ -282,10 +282,10 @@ def test_croissant_metadata_are_valid_and_describe_the_files(output, tmp_path):
     assert "| kitchen | CC0-1.0 | 1 |" in card(tmp_path)
     assert "licence of `chunks` is unknown" in card(tmp_path)
     with pytest.raises(InputError, match=r"licences: found 'kitchn'.*did you mean"):
-        made_set(settings_for(tmp_path, *settings.sources, licences={"kitchn": "MIT"}), store)
+        make_set(settings_for(tmp_path, *settings.sources, licences={"kitchn": "MIT"}), store)
 
 
-def test_a_purged_clip_is_gone_from_store_set_and_chunks(output, tmp_path, slg):
+def test_purge_removes_a_clip_from_store_set_and_chunks(output, tmp_path, slg):
     folder, _, settings, _ = output
     for name in ("set", "store", "chunks"):
         shutil.copytree(folder / name, tmp_path / name)
@@ -317,11 +317,11 @@ def test_a_purged_clip_is_gone_from_store_set_and_chunks(output, tmp_path, slg):
     assert slg(*command, "--clip", "procedural_1")[0] == 0
     # Independently of the command: no text, and no picture of the clip, in any file.
     (clip,) = re10k.read_chunk(folder / "chunks/000001.torch")
-    scenes = {str(store.get(ref)["scene"]) for ref in refs_of(store, "sample")}
+    scenes = {str(store.get(ref)["scene"]) for ref in find_refs(store, "sample")}
     assert {name[:-10] for name in scenes} >= {"kitchen", "procedural_0"}
     assert not [name for name in scenes if name.startswith("procedural_1_")]
     for spec in ("sample", "gaussians", "bank", "example"):
-        assert len(refs_of(store, spec)) < len(refs_of(ArtifactStore(folder / "store"), spec))
+        assert len(find_refs(store, spec)) < len(find_refs(ArtifactStore(folder / "store"), spec))
     for name, data in files_below(tmp_path).items():
         assert b"procedural_1" not in data and not any(image in data for image in clip.images), name
     rows = TrainingSet(tmp_path / "set").rows.to_pylist()
@@ -331,21 +331,21 @@ def test_a_purged_clip_is_gone_from_store_set_and_chunks(output, tmp_path, slg):
     assert list(re10k.read_index(tmp_path / "chunks")) == ["procedural_0"]
     # What others need is still there: nothing of them is computed again.
     kept = {file.uri for files in store.walk(["keys"]) for file in files}
-    made_set(settings_for(tmp_path, tmp_path / "chunks", settings.sources[1]), store)
+    make_set(settings_for(tmp_path, tmp_path / "chunks", settings.sources[1]), store)
     assert kept <= {file.uri for files in store.walk(["keys"]) for file in files}
 
 
-def refs_of(store: ArtifactStore, spec: str) -> list:
+def find_refs(store: ArtifactStore, spec: str) -> list:
     return [ref_of(file.uri) for files in store.walk([spec]) for file in files]
 
 
-def test_a_bad_scene_costs_itself_alone(output, tmp_path):
+def test_dataset_leaves_out_bad_scenes_only(output, tmp_path):
     _, store, settings, _ = output
     bad = tmp_path / "bad"
     bad.mkdir()
     (bad / "transforms.json").write_text("{")
-    subset = folder_of(room(4, 2), tmp_path / "few")
-    message = made_set(settings_for(tmp_path, *settings.sources, bad, subset), store)
+    subset = write_folder(room(4, 2), tmp_path / "few")
+    message = make_set(settings_for(tmp_path, *settings.sources, bad, subset), store)
     assert message.samples == 3
     rows = pq.read_table(tmp_path / "set/failures.parquet").to_pylist()
     reason = {row["scene"]: row["reason"] for row in rows}
@@ -356,11 +356,13 @@ def test_a_bad_scene_costs_itself_alone(output, tmp_path):
     assert "2 frames, clips and samples were refused;" in card
     assert str(tmp_path) not in card
     with pytest.raises(InputError, match="no sample is left of the sources; the reasons are in"):
-        made_set(settings_for(tmp_path / "none", bad), store)
+        make_set(settings_for(tmp_path / "none", bad), store)
     assert pq.read_table(tmp_path / "none/set/failures.parquet")["scene"].to_pylist() == ["bad"]
 
 
-def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path, monkeypatch):
+def test_training_set_refuses_damaged_or_missing_files_in_one_sentence(
+    output, tmp_path, monkeypatch
+):
     folder, *_ = output
     with pytest.raises(SpecError, match=r"index\.parquet: cannot be read"):
         TrainingSet(tmp_path)

@@ -1,27 +1,20 @@
 """Deployments on a real server: forms take what files take, and one deployment starts another."""
 
 import json
-import os
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import get_type_hints
 
-import httpx
 import pytest
 import yaml
 from command import ROOM
 from prefect.flows import load_flow_from_entrypoint
 from prefect.utilities.callables import parameter_schema
-from tiny_clusters import free_port, wait_for_port
 from tiny_program import wait_until
+from web import call_prefect, post, serve_prefect, start_prefect
 
 from flows.config import PRESETS
 from flows.read_config import checked
 from flows.runners.environment import FLOWS
-from flows.runners.server import import_path
-from flows.runners.task_runners import NO_EVENTS
 from slgaussian import __version__, datasets
 from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
@@ -61,16 +54,6 @@ REFUSED = [
     *(("train", {"widths": widths}) for widths in ("8,x", "8,0", "", [8, 0], [])),
     *(("train", values) for values in ({"preset": "fast"}, {"held_out": 1})),
 ]
-
-
-def post(url: str, content: dict) -> httpx.Response:
-    """Post to the server; it answers 503 while its database is locked."""
-    for _ in range(20):
-        answer = httpx.post(url, json=content, timeout=60)
-        if answer.status_code != 503:
-            break
-        time.sleep(0.5)
-    return answer
 
 
 @pytest.fixture(scope="module")
@@ -148,40 +131,20 @@ def test_ingest_starts_supervise_and_that_retrain(tmp_path):
     # The first run ends as LeftOut, and the second as Completed.
     content["deployments"][0]["parameters"]["config"]["sources"].append("nothing")
     (tmp_path / "prefect.yaml").write_text(yaml.safe_dump(content))
-    api = f"http://127.0.0.1:{(port := free_port())}/api"
-    hidden = ("PREFECT_", NO_EVENTS)
-    env = {key: value for key, value in os.environ.items() if not key.startswith(hidden)}
-    env |= {"PREFECT_HOME": str(tmp_path / "home"), "PREFECT_API_URL": api, "DO_NOT_TRACK": "1"}
-    env |= {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "PREFECT_WORKER_QUERY_SECONDS": "1"}
-    env |= {"PYTHONPATH": import_path(), "PYTHONSAFEPATH": "1"}
-    prefect = [sys.executable, "-m", "prefect", "--no-prompt"]
-    started = []
+    variables = {"PREFECT_WORKER_QUERY_SECONDS": "1"}
+    with serve_prefect(tmp_path, **variables) as env:
 
-    def start(*words: str) -> None:
-        with (tmp_path / f"{words[0]}.log").open("wb") as log:
-            options = {"cwd": tmp_path, "env": env, "stdout": log, "stderr": log}
-            started.insert(0, subprocess.Popen([*prefect, *words], **options))
+        def runs() -> dict[str, dict]:
+            which = {"flow_runs": {"start_time": {"is_null_": False}}}
+            found = post(f"{env['PREFECT_API_URL']}/flow_runs/filter", which).json()
+            return {run["name"]: run for run in found}
 
-    def call(*words: str) -> None:
-        subprocess.run([*prefect, *words], cwd=tmp_path, env=env, check=True, timeout=120)
-
-    def runs() -> dict[str, dict]:
-        which = {"flow_runs": {"start_time": {"is_null_": False}}}
-        return {run["name"]: run for run in post(f"{api}/flow_runs/filter", which).json()}
-
-    try:
-        start("server", "start", "--port", port)
-        wait_for_port(port)
-        call("work-pool", "create", "slgaussian", "--type", "process")
-        call("deploy", "--all")
-        start("worker", "start", "--pool", "slgaussian")
-        call("deployment", "run", "slgaussian-ingest/ingest")
-        assert wait_until(lambda: "retrain models" in runs(), 500), runs().keys()
-        ended = runs()
-    finally:
-        for process in started:  # the worker first
-            process.terminate()
-            process.wait(60)
+        call_prefect(tmp_path, env, *["work-pool", "create", "slgaussian", "--type", "process"])
+        call_prefect(tmp_path, env, "deploy", "--all")
+        with start_prefect(tmp_path, env, "worker", "start", "--pool", "slgaussian"):
+            call_prefect(tmp_path, env, "deployment", "run", "slgaussian-ingest/ingest")
+            assert wait_until(lambda: "retrain models" in runs(), 500), runs().keys()
+            ended = runs()
     first, second, third = (
         ended[name] for name in ("ingest corpus", "supervise corpus", "retrain models")
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from process_family import PROC, below
-from tiny_program import HERE, lines_of, start, wait_until, with_database
+from tiny_program import HERE, first_words, start, wait_until, with_database
 from tiny_run import run_tiny, three_scenes
 
 from benches.common.bad_weather import BadWeather
@@ -42,7 +42,7 @@ def test_two_runs_on_one_store_at_once(tmp_path, home, server, complete):
     for process in both:
         _, messages = process.communicate(timeout=120)
         assert process.returncode == 0, messages.decode()
-        assert lines_of(messages) == ["scene_0", "scene_1", "scene_2"]
+        assert first_words(messages) == ["scene_0", "scene_1", "scene_2"]
     done = log.read_text().splitlines()
     assert len(set(done)) == 9 and len(done) <= 18
     check_nothing_is_left_to_do(store, log, complete)

@@ -23,7 +23,7 @@ finally:
 """
 
 
-def imported(*words: str) -> tuple[str, set[str]]:
+def import_modules(*words: str) -> tuple[str, set[str]]:
     """Run ``slgaussian WORDS`` in a new process; return output and heavy modules loaded."""
     inputs = [sys.executable, "-c", CODE, json.dumps(words)]
     done = subprocess.run(inputs, capture_output=True, text=True)
@@ -33,24 +33,24 @@ def imported(*words: str) -> tuple[str, set[str]]:
 
 @pytest.mark.parametrize("words", [("--help",), ("words",), ("--version",)], ids=" ".join)
 def test_what_needs_no_array_loads_none(words):
-    assert imported(*words)[1] <= {"pydantic"}  # by which Typer reads options
+    assert import_modules(*words)[1] <= {"pydantic"}  # by which Typer reads options
 
 
 def test_the_help_of_a_command_loads_no_kernel_and_no_network():
-    assert imported("query", "--help")[1] <= {"numpy", "pydantic"}
+    assert import_modules("query", "--help")[1] <= {"numpy", "pydantic"}
 
 
 def test_a_list_of_versions_waits_for_no_pictures(tmp_path):
-    assert not imported("versions", str(tmp_path))[1] & {"cv2", "scipy", "torch"}
+    assert not import_modules("versions", str(tmp_path))[1] & {"cv2", "scipy", "torch"}
 
 
 def test_a_question_waits_for_no_torch_and_once_asked_for_no_kernel_either(tmp_path, monkeypatch):
     monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "cache"))
     two_walls(tmp_path / "field")
     question = ("query", str(tmp_path / "field"), "red", "--json")
-    first, heavy = imported(*question)
+    first, heavy = import_modules(*question)
     assert "torch" not in heavy and "pyarrow" not in heavy
-    rerun, heavy = imported(*question)
+    rerun, heavy = import_modules(*question)
     assert rerun == first and json.loads(first)["text"] == "red"
     assert heavy == {"numpy", "cv2", "pydantic"}
 

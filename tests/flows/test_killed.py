@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from process_family import LOOPBACK, PROC, below, listening, living
-from tiny_program import lines_of, start, wait_until, with_database
+from tiny_program import first_words, start, wait_until, with_database
 from tiny_run import run_tiny, three_scenes
 
 from slgaussian.storage.store import ArtifactStore
@@ -50,7 +50,7 @@ def test_a_stopped_run_goes_on_later_and_leaves_nothing(
     assert living(begun) == []
     assert left_in(home) == []
     if number != signal.SIGKILL:
-        assert lines_of(messages) == ["scene_0", "stopped"]
+        assert first_words(messages) == ["scene_0", "stopped"]
 
     before = log.read_text().splitlines()
     outcome = run_tiny(ArtifactStore(store), three_scenes(log))

@@ -90,7 +90,7 @@ def label(folder: Path, name: str, *categories: str) -> None:
     file.write_text(json.dumps({"info": info, "objects": things}))
 
 
-def indexed(data: Path, **values) -> Index:
+def index_scenes(data: Path, **values) -> Index:
     """The index that `benchmark` makes of data without one."""
     labels, rule = values.pop("labels", None), {"format": "lerf_ovs", **values}
     index = build_index(data, labels, IndexSettings(**rule), data / "pairs.json")
@@ -100,7 +100,7 @@ def indexed(data: Path, **values) -> Index:
 
 class TestIndex:
     def test_every_labelled_frame_has_a_pair_or_a_reason(self, lerf):
-        index = indexed(lerf)
+        index = index_scenes(lerf)
         assert index.format == "lerf_ovs"
         assert index.rule["name"] == "around"
         assert list(index.scenes) == ["ramen-frame_00004", "teatime-frame_00005"]
@@ -114,25 +114,25 @@ class TestIndex:
         assert "have it between them" in index.left_out["teatime-frame_00001"]
 
     def test_a_photograph_that_is_missing_or_damaged_is_no_context(self, lerf):
-        pair = indexed(lerf).scenes["teatime-frame_00005"]
+        pair = index_scenes(lerf).scenes["teatime-frame_00005"]
         (lerf / "teatime/images" / pair.context[0]).write_text("hello")
         (lerf / "teatime/images" / pair.context[1]).unlink()
         (lerf / "ramen/images" / FRAMES[3]).unlink()
-        index = indexed(lerf)
+        index = index_scenes(lerf)
         assert "no such photograph" in index.left_out["ramen-frame_00004"]
         assert not any(set(pair.context) & set(second.context) for second in index.scenes.values())
 
     def test_a_frame_with_an_empty_file_of_labels_is_neither_target_nor_context(self, lerf):
-        pair = indexed(lerf).scenes["teatime-frame_00005"]
+        pair = index_scenes(lerf).scenes["teatime-frame_00005"]
         for name in pair.context:
             label(lerf / "label/teatime", name)
             file = (lerf / "label/teatime" / name).with_suffix(".json")
             file.write_text(json.dumps({**json.loads(file.read_text()), "objects": []}))
-        index = indexed(lerf)
+        index = index_scenes(lerf)
         assert "nothing is labelled in it" in index.left_out[f"teatime-{file.stem}"]
         assert not {*pair.context} & {*index.scenes["teatime-frame_00005"].context}
 
-    def test_what_cannot_be_is_said_in_one_sentence(self, lerf, refusal):
+    def test_build_index_refuses_bad_folders_in_one_sentence(self, lerf, refusal):
         lerf_ovs = ("--format", "lerf_ovs")
         for data, words, sentence in (
             (lerf, (), "data format 'nerfstudio' has no labels of its own; give their folder"),
@@ -182,7 +182,7 @@ class TestScored:
             # Each row is asked by its own rules, and its samples say so.
             assert [scoring.rules.absent for scoring in calls] == ["skip", "skip", "zero"]
 
-    def test_another_format_than_that_of_the_index_is_refused(self, lerf):
+    def test_labelled_scenes_refuses_another_format(self, lerf):
         with pytest.raises(InputError, match=r"was made for data of format 'lerf_ovs', but format"):
             self.scenes(lerf, format="ovs3d")
         assert len(self.scenes(lerf, format="lerf_ovs")[0]) == 2
@@ -224,11 +224,11 @@ def test_name_and_labelled_frames_are_what_a_published_scene_is_known_by():
 
 class TestHeldOut:
     @pytest.fixture
-    def ingested(self, lerf):
+    def ingest_target(self, lerf):
         """Ingest the sample of a target between two context views at a size."""
         store = ArtifactStore(str(lerf / "store"))
 
-        def ingested(target: str, size=None):
+        def ingest_target(target: str, size=None):
             scene = SceneSettings(
                 name="hall", format="colmap", path=lerf / "ramen", context=FRAMES[1:4:2],
                 targets=[target], size=size,
@@ -236,28 +236,28 @@ class TestHeldOut:
             photographs, *_ = scene_task(make_settings({}, "test"), scene).arguments
             return sample_from_arrays(store.get(ingest.compute(RunContext(store), photographs)))
 
-        return ingested
+        return ingest_target
 
-    def test_a_target_that_is_a_context_view_or_a_copy_is_refused(self, lerf, ingested):
+    def test_ingest_refuses_a_target_that_equals_a_context_view(self, lerf, ingest_target):
         with pytest.raises(InputError, match=r"the target 'frame_00004\.jpg' is the context view"):
-            ingested("frame_00004")
+            ingest_target("frame_00004")
         images = lerf / "ramen" / "images"
         shutil.copy(images / FRAMES[1], images / FRAMES[2])
         for size in (None, "at most 24x32"):  # targets keep the size that all are judged at
             with pytest.raises(InputError, match="is the same picture as the context view"):
-                ingested(FRAMES[2], size)
+                ingest_target(FRAMES[2], size)
 
     @pytest.mark.parametrize("size", ["at most 24x32", (30, 20)])
-    def test_all_are_judged_at_one_size_but_where_a_size_crops(self, ingested, size):
-        sample = ingested(FRAMES[2], size)
+    def test_all_are_judged_at_one_size_but_where_a_size_crops(self, ingest_target, size):
+        sample = ingest_target(FRAMES[2], size)
         (target,) = sample.targets
         assert target.image.shape[:2] == (size if isinstance(size, tuple) else SIZE[::-1])
         if size == "at most 24x32":
             assert 2 * sample.context[0].image[..., 0].size < target.image[..., 0].size
 
 
-def test_labelled_frames_whose_pairs_would_have_one_name_are_refused(lerf):
+def test_build_index_refuses_two_pairs_of_one_name(lerf):
     label(lerf / "label/teatime/a", "b.jpg")
     label(lerf / "label/teatime", "a-b.jpg")
     with pytest.raises(InputError, match="both be called 'teatime-a-b'; rename a"):
-        indexed(lerf)
+        index_scenes(lerf)

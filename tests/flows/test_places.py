@@ -56,7 +56,7 @@ COPIES = {
 }
 
 
-def seed_of(clip: str) -> str:
+def find_seed(clip: str) -> str:
     return re.match(r"room\d+", clip)[0]
 
 
@@ -76,12 +76,12 @@ def corpus(tmp_path_factory) -> Path:
     return folder
 
 
-def sides_of(out: Path) -> dict[str, str]:
+def read_sides(out: Path) -> dict[str, str]:
     rows = pq.read_table(out / "places.parquet").to_pylist()
     return {row["clip"]: row["split"] for row in rows}
 
 
-def pictures_by_split(out: Path) -> dict[str, list[np.ndarray]]:
+def read_pictures(out: Path) -> dict[str, list[np.ndarray]]:
     """Read the pictures of a set as other readers do: grey, as they are in the tar files."""
     pictures = defaultdict(list)
     for shard in out.glob("*.tar"):
@@ -110,7 +110,7 @@ def test_no_picture_is_in_both_splits_of_a_set_that_grows(corpus, tmp_path, slg)
         sources.append(corpus / added)
         status, text, errors = slg("dataset", out, *sources, *words)
         assert status == 0, errors
-        sides = sides_of(out)
+        sides = read_sides(out)
         assert before.items() <= sides.items()
         before = sides
     assert "places: 8, held out " in text
@@ -119,9 +119,9 @@ def test_no_picture_is_in_both_splits_of_a_set_that_grows(corpus, tmp_path, slg)
     assert len(rows) == 14 and all(sides[row["clip"]] == row["split"] for row in rows)
     by_room = defaultdict(set)
     for row in rows:
-        by_room[seed_of(row["clip"])].add((row["place"], row["split"]))
+        by_room[find_seed(row["clip"])].add((row["place"], row["split"]))
     assert all(len(places) == 1 for places in by_room.values()) and len(by_room) == 8
-    pictures = pictures_by_split(out)
+    pictures = read_pictures(out)
     across = [likeness(a, b) for a in pictures["train"] for b in pictures["test"]]
     assert max(across) < 0.97 and len(pictures["train"]) * len(pictures["test"]) == len(across) > 0
     same = [likeness(*pair) for pair in zip(*[iter(pictures["train"])] * 2, strict=False)]

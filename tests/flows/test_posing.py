@@ -62,7 +62,7 @@ def photos(tmp_path, monkeypatch):
     unposed._find.cache_clear()
 
 
-def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, slg):
+def test_field_reports_the_estimation_of_its_cameras(photos, slg):
     status, _, output = slg("field", *PHOTOS, "-o", "field")
     lines = [line for line in output.splitlines() if "compiling kernels" not in line]
     assert status == 0 and len(lines) <= 9
@@ -80,7 +80,7 @@ def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, sl
     assert f"right with a probability of {confidence:.0%}: few matches" in output
 
 
-def test_cameras_that_are_written_are_those_that_were_found(photos, slg, refusal):
+def test_cameras_writes_the_estimated_cameras(photos, slg, refusal):
     out = "there/transforms.json"
     status, printed, errors = slg("cameras", *PHOTOS, "-o", out)
     assert status == 0 and "cameras found: " in errors
@@ -98,7 +98,7 @@ def test_cameras_that_are_written_are_those_that_were_found(photos, slg, refusal
     assert "error: there: cannot be written (Is a directory)" in error
 
 
-def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, slg):
+def test_commands_leave_out_a_photograph_without_camera(photos, slg):
     all_three = [PHOTOS[0], ELSEWHERE, PHOTOS[1]]
     Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(ELSEWHERE)
     status, _, errors = slg("field", *all_three, "-o", "field")
@@ -120,7 +120,7 @@ def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, slg):
         valid.sample([PHOTOS[0], ELSEWHERE])
 
 
-def test_what_makes_no_sense_is_refused_before_any_work(photos, monkeypatch, refusal):
+def test_commands_refuse_bad_photographs_before_any_work(photos, monkeypatch, refusal):
     monkeypatch.setattr(unposed, "find_cameras", lambda photographs: pytest.fail("worked"))
     (photos / "mine.json").write_text('{"frames": []}')
     for words, error in [

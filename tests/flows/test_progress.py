@@ -20,7 +20,7 @@ def wide(monkeypatch):
     monkeypatch.setenv("TERM", "xterm")
 
 
-def two_done_one_failed(progress: Progress) -> None:
+def report_two_scenes_and_a_failure(progress: Progress) -> None:
     """Report scenes a (cached) and b through two stages, c as left out, and d as begun."""
     for scene, stage in itertools.product("ab", ("ingest", "masks")):
         progress.update(StageEvent(scene, stage, "running"))
@@ -33,7 +33,7 @@ def two_done_one_failed(progress: Progress) -> None:
 def test_a_stream_that_is_no_terminal_gets_lines_only():
     stream = io.StringIO()
     with Progress(4, 2, stream=stream) as progress:
-        two_done_one_failed(progress)
+        report_two_scenes_and_a_failure(progress)
     *lines, last = stream.getvalue().splitlines()
     assert lines == [
         "a  2 stages cached",
@@ -56,7 +56,7 @@ def test_a_long_stage_without_a_terminal_gives_a_sign_of_life(stream, lines, mon
 def test_a_terminal_shows_counts_and_what_is_worked_on():
     stream = Terminal()
     with Progress(4, 2, stream=stream) as progress:
-        two_done_one_failed(progress)
+        report_two_scenes_and_a_failure(progress)
         assert (progress.steps, progress.total) == (4, 6)
         progress.bar.refresh()
         assert "2/4 scenes, 1 failed, " in stream.getvalue()
@@ -66,14 +66,14 @@ def test_a_terminal_shows_counts_and_what_is_worked_on():
     assert stream.getvalue().count("\x1b[?25l") == stream.getvalue().count("\x1b[?25h") == 1
 
 
-def test_what_a_terminal_would_obey_is_shown_and_markup_is_text():
+def test_line_escapes_control_characters_and_markup():
     stream = Terminal()
     with Progress(1, 1, stream=stream) as progress:
         progress.line("bad \x1b[31m [red]name[/red] :smile:")
     assert "bad \\x1b[31m [red]name[/red] :smile:" in stream.getvalue()
 
 
-def test_what_is_lost_is_counted_once():
+def test_lost_scenes_count_once():
     progress = Progress(2, 2, stream=io.StringIO())
     progress.update(StageEvent("a", "ingest", "completed"))
     progress.update(StageEvent("a", "masks", "completed"))

@@ -1,10 +1,8 @@
 """Repetition of a run from ``run.toml``, and lineage of its numbers."""
 
 import hashlib
-import http.server
 import json
 import shutil
-import threading
 import tomllib
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 from command import files_below, run, write_photographs
 from PIL import Image
+from web import receive_json
 
 from slgaussian import datasets
 from tests.language.small_clip import save_clip
@@ -53,7 +52,7 @@ def first(tmp_path_factory, server):
 
 
 @pytest.fixture
-def moved(first, tmp_path, monkeypatch) -> Path:
+def move_run(first, tmp_path, monkeypatch) -> Path:
     """Copy the data and ``run.toml`` alone to another place, and go to its folder."""
     for name in ("set", "labels", "clip"):
         shutil.copytree(first / name, tmp_path / name)
@@ -66,8 +65,8 @@ def moved(first, tmp_path, monkeypatch) -> Path:
 AGAIN = ("run", FILE, "-o", "../again", "--store", "../other")
 
 
-def test_a_run_repeated_elsewhere_from_its_file_alone_gives_the_same_bytes(first, moved, slg):
-    file = moved / "report" / FILE
+def test_a_run_repeated_elsewhere_from_its_file_alone_gives_the_same_bytes(first, move_run, slg):
+    file = move_run / "report" / FILE
     versions = tomllib.loads(file.read_text())["inputs"]["software"]
     file.write_text(file.read_text().replace(f'"{versions["numpy"]}"', '"1.0"'))
     status, _, errors = slg(*AGAIN)
@@ -76,7 +75,7 @@ def test_a_run_repeated_elsewhere_from_its_file_alone_gives_the_same_bytes(first
     assert f"{1 + (3 + 3) + (4 + 3)} digests are those of run.toml" in errors
     assert f"may differ, with numpy {versions['numpy']} instead of 1.0" in errors
     before, after = (
-        files_below(folder, ("times",)) for folder in (first / "report", moved / "again")
+        files_below(folder, ("times",)) for folder in (first / "report", move_run / "again")
     )
     assert before.pop("pairs.json")  # the scenes of the index are in run.toml
     assert before.keys() == after.keys()
@@ -96,8 +95,8 @@ def test_a_run_repeated_elsewhere_from_its_file_alone_gives_the_same_bytes(first
 
 
 @pytest.mark.parametrize("name", ["set/view_04.png", "labels/view_02.json", "clip/config.json"])
-def test_a_changed_file_is_refused_by_name_and_nothing_is_written(name, moved, refusal):
-    place = moved / name
+def test_a_changed_file_is_refused_by_name_and_nothing_is_written(name, move_run, refusal):
+    place = move_run / name
     if place.suffix == ".png":
         pixels = np.asarray(Image.open(place)).copy()
         pixels[0, 0] ^= 1
@@ -108,7 +107,7 @@ def test_a_changed_file_is_refused_by_name_and_nothing_is_written(name, moved, r
     assert {"set": "photograph view_04.png", "labels": "label file view_02.json",
             "clip": "clip.model"}[name.split("/")[0]] in message  # fmt: skip
     assert "found digest" in message and "delete the tables [inputs] from run.toml" in message
-    assert not (moved / "again").exists()
+    assert not (move_run / "again").exists()
 
 
 def sha256(file: Path) -> str:
@@ -170,22 +169,7 @@ def test_openlineage_events_of_a_run_are_complete(first, slg, tmp_path):
     assert {"ingest", "field", "benchmark", "baselines"} <= jobs
     assert "desk/slgaussian, views=3/benchmark" in known
 
-    bodies = []
-
-    class Sink(http.server.BaseHTTPRequestHandler):
-        def do_POST(self):
-            bodies.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(201)
-            self.end_headers()
-
-        def log_message(self, *words):
-            pass
-
-    with http.server.HTTPServer(("127.0.0.1", 0), Sink) as sink:
-        threading.Thread(target=sink.serve_forever, daemon=True).start()
-        url = f"http://127.0.0.1:{sink.server_port}"
+    with receive_json() as (url, received):
         assert slg("inspect", first / "report", "--openlineage", url)[0] == 0
-        sink.shutdown()
-    assert [body["run"]["runId"] for body in bodies] == [
-        json.loads(line)["run"]["runId"] for line in lines
-    ]
+    sent = [received.get_nowait()["run"]["runId"] for _ in lines]
+    assert received.empty() and sent == [json.loads(line)["run"]["runId"] for line in lines]

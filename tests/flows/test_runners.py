@@ -47,16 +47,11 @@ def runner(kind, request):
     return request.getfixturevalue(kind) if kind in ("dask", "ray") else kind
 
 
-@pytest.fixture
-def store(tmp_path):
-    return ArtifactStore(tmp_path / "store")
-
-
 def artifacts(store: ArtifactStore) -> dict[str, bytes]:
     return files_below(Path(store.path), ("keys/", ".prefect/"))
 
 
-def refs_of(store: ArtifactStore) -> dict[str, list]:
+def read_refs(store: ArtifactStore) -> dict[str, list]:
     """References in the records by the paths of these, without times."""
     records = files_below(Path(store.path, "keys"))
     refs = {name: json.loads(data) for name, data in records.items()}
@@ -76,7 +71,7 @@ def five_scenes(folder: Path, **effects: str) -> dict:
 
 
 @pytest.fixture(scope="module")
-def expected(server, tmp_path_factory):
+def run_in_threads(server, tmp_path_factory):
     """Store and outcome of threads, undisturbed."""
     folder = tmp_path_factory.mktemp("threads")
     store = ArtifactStore(folder / "store")
@@ -86,7 +81,9 @@ def expected(server, tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", [*KINDS, RAY])
-def test_worker_death_does_not_change_results(kind, runner, expected, store, tmp_path, monkeypatch):
+def test_worker_death_does_not_change_results(
+    kind, runner, run_in_threads, store, tmp_path, monkeypatch
+):
     """One scene kills its worker the first time; other scenes are in the same batch."""
     # Workers send events to the server, as to a server of the user.
     monkeypatch.delenv(NO_EVENTS, raising=False)
@@ -94,11 +91,11 @@ def test_worker_death_does_not_change_results(kind, runner, expected, store, tmp
     progress = Progress(len(scenes), 3, stream=io.StringIO())
     outcome = run_tiny(store, scenes, 1, runner=runner, progress=progress)
     assert (tmp_path / "died").exists()
-    expected_store, expected_outcome = expected
+    expected_store, expected_outcome = run_in_threads
     assert outcome.refs == expected_outcome.refs
     assert outcome.failures == expected_outcome.failures
     assert artifacts(store) == artifacts(expected_store)
-    assert refs_of(store) == refs_of(expected_store)
+    assert read_refs(store) == read_refs(expected_store)
 
     # Progress counts each stage and scene once.
     assert (progress.done, progress.failed, progress.scenes) == (3, 2, 5)
@@ -157,7 +154,7 @@ def test_error_in_worker_is_reported_and_is_no_death(kind, runner, store, tmp_pa
 
 
 @needs_dask
-def test_address_without_scheduler_is_refused(store, monkeypatch):
+def test_run_refuses_an_address_without_scheduler(store, monkeypatch):
     monkeypatch.setattr(task_runners, "CONNECT_TIMEOUT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         for port, reason in (
@@ -171,7 +168,7 @@ def test_address_without_scheduler_is_refused(store, monkeypatch):
 
 
 @needs_dask
-def test_cluster_without_workers_is_refused(tmp_path, monkeypatch):
+def test_run_refuses_a_cluster_without_workers(tmp_path, monkeypatch):
     monkeypatch.setattr(task_runners, "FIRST_TASK_TIMEOUT", 0.5)
     message = "no worker of dask://.* accepted work within"
     with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=message):
@@ -179,7 +176,7 @@ def test_cluster_without_workers_is_refused(tmp_path, monkeypatch):
     assert not list(tmp_path.glob(".probe*"))
 
 
-def test_worker_that_reads_another_store_is_refused(store):
+def test_roll_call_refuses_another_store(store):
     store.write("probe", b"")
     roll_call.fn(store.root, "probe")
     with pytest.raises(InputError, match="another store at"):

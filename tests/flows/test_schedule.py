@@ -4,11 +4,11 @@ import logging
 import time
 from pathlib import Path
 
-import httpx
 import pytest
 import yaml
 from prefect.client.schemas.schedules import CronSchedule
 from prefect.flows import load_flow_from_entrypoint
+from web import post
 
 from flows.benchmark import PAGE, REPORT, SCORES, score_scenes
 from flows.config import RetrainSettings
@@ -93,7 +93,9 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
     assert edges["benchmark"] == {"ingest", "truth", "geometry", "masks", "field"}
     for ended in runs:
         of_run = {"artifacts": {"flow_run_id": {"any_": [ended["flow_run"]]}}}
-        published = {first["key"]: first for first in post(server, "artifacts/filter", of_run)}
+        published = {
+            first["key"]: first for first in post(f"{server.url}/artifacts/filter", of_run).json()
+        }
         keys = {REPORT: "markdown", PAGE: "markdown", SCORES: "table"}
         types = {key: first["type"] for key, first in published.items()}
         assert types == {**keys, "slgaussian-progress": "progress"}
@@ -106,27 +108,16 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
 def ended_runs(server, name: str) -> list[dict]:
     """Return the final states of a flow's runs, latest first, with the ids of the runs."""
     which = {"flows": {"name": {"any_": [name]}}, "sort": "END_TIME_DESC"}
-    runs = post(server, "flow_runs/filter", which)
+    runs = post(f"{server.url}/flow_runs/filter", which).json()
     return [{**first["state"], "flow_run": first["id"]} for first in runs]
 
 
 def wait_for(server, which: dict, count: int) -> list[dict]:
     """Wait for task runs, which reach the server later, as events."""
     for _ in range(100):
-        tasks = post(server, "task_runs/filter", which)
+        tasks = post(f"{server.url}/task_runs/filter", which).json()
         final = [t for t in tasks if t["state_type"] in ("COMPLETED", "FAILED")]
         if len(final) == len(tasks) and sum(t["name"].endswith("room") for t in tasks) >= count:
             return tasks
         time.sleep(0.2)
     raise AssertionError([(t["name"], t["state_name"]) for t in tasks])
-
-
-def post(server, path: str, inputs: dict):
-    """Post to the server; retry on 503, which it sends while its database is locked."""
-    for _ in range(20):
-        answer = httpx.post(f"{server.url}/{path}", json=inputs, timeout=60)
-        if answer.status_code != 503:
-            break
-        time.sleep(0.5)
-    assert answer.is_success, f"{path}: {answer.status_code} {answer.text}"
-    return answer.json()

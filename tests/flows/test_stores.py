@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import run, said
+from command import read_error, run
 from tiny_run import run_tiny, tiny
 
 from flows.read_config import make_settings
@@ -101,16 +101,16 @@ def test_results_of_older_stages_are_told_from_those_of_today(tmp_path, monkeypa
 
 def test_a_store_that_is_not_there_is_not_made_by_looking(tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, "store", "gc", "--store", tmp_path / "typo") == 2
-    assert "typo: found no folder, expected a store" in said(capsys)
+    assert "typo: found no folder, expected a store" in read_error(capsys)
     assert not (tmp_path / "typo").exists()
 
 
 @pytest.mark.parametrize("key", ["store", "sources"])
-def test_settings_with_credentials_are_refused_before_they_are_said(key, monkeypatch, capsys):
+def test_settings_refuse_credentials_without_printing_them(key, monkeypatch, capsys):
     place = "s3://AKIA123:hidden@bucket/x"
     words = {"store": ("demo", "--store", place), "sources": ("ingest", place, "-o", "out")}[key]
     assert run(monkeypatch, *words) == 2
-    message = said(capsys)
+    message = read_error(capsys)
     assert f"{key} s3://***@bucket/x: found credentials in the URL" in message
     assert "hidden" not in message and "AKIA123" not in message
     with pytest.raises(InputError, match="found credentials"):

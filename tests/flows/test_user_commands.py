@@ -13,12 +13,12 @@ pytestmark = pytest.mark.whole
 def check(group: str, folder: Path, **variables: str) -> None:
     """Run a group of commands; check statuses and files."""
     program = [str(Path(sys.executable).parent / "slgaussian")]
-    results = user_commands.recorded(program, folder, None, [group], variables)
+    results = user_commands.record_groups(program, folder, None, [group], variables)
     assert user_commands.check(results) == []
     assert len(results) > 2
 
 
-def test_a_field_is_built_and_asked(tmp_path):
+def test_commands_build_and_query_a_field(tmp_path):
     check("fields", tmp_path)
 
 

@@ -47,7 +47,7 @@ def with_database(store: Path, server) -> Path:
     return store
 
 
-def lines_of(messages: bytes) -> list[str]:
+def first_words(messages: bytes) -> list[str]:
     """First word of each line, without the lines of progress of a slow run."""
     lines = filter(None, messages.decode().splitlines())
     words = [re.split(r"[\s;]", line, maxsplit=1)[0] for line in lines]

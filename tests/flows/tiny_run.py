@@ -1,7 +1,6 @@
 """A flow of tiny stages: called by tests, and run as a program by tests that kill it."""
 
 import io
-import math
 import sys
 from pathlib import Path
 
@@ -21,11 +20,12 @@ def run_tiny(
     runner: str = "threads",
     progress=None,
     refresh: tuple[str, ...] = (),
-    max_failures: float = math.inf,
+    max_failures: float = 1e9,
 ):
     """Run ``{scene: arguments of its pipeline}``; returns the outcome."""
     from tiny_flow import WORK, tiny_flow
 
+    from flows.config import Engine
     from flows.runners.batches import SceneTask, map_scenes
     from flows.runners.environment import call_flow
     from flows.runners.progress import Progress
@@ -40,7 +40,8 @@ def run_tiny(
             SceneTask(scene, tiny_pipeline, arguments, first="make")
             for scene, arguments in scenes.items()
         ]
-        with open_workers(runner, workers, store, frozenset(refresh), max_failures) as opened:
+        limits = {"refresh": list(refresh), "max_failures": max_failures}
+        with open_workers(Engine(runner=runner, workers=workers, **limits), store) as opened:
             return map_scenes(scene_tasks, opened, progress)
 
     WORK.append(work)

@@ -21,8 +21,8 @@ from slgaussian.viewer.auth import Access, listen
 from slgaussian.viewer.page.packed import morton_order
 from slgaussian.viewer.page.scene_page import scene_page
 from slgaussian.viewer.server import MAX_BODY_BYTES, LiveField, app
+from tests.flows.command import read_error as command_output
 from tests.flows.command import run
-from tests.flows.command import said as command_output
 from tests.square import BLUE, GREEN, RED, YELLOW, square_field
 from tests.viewer.test_page import enter, window_point
 
