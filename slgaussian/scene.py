@@ -13,9 +13,9 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -27,6 +27,9 @@ from slgaussian.formats.images import MAX_PIXELS
 from slgaussian.formats.resampling import Fit, Window
 from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
+
+if TYPE_CHECKING:  # it imports this module
+    from slgaussian.cameras.match_graph import MatchGraph
 
 ROTATION_TOLERANCE = 1e-3
 """Largest allowed entry of ``R.T @ R - I``: accepts poses printed with four digits, not scaling."""
@@ -337,6 +340,7 @@ class Sample:
         phrases: mapping int -> str. Name of each ground-truth instance id, if known.
         estimation: Estimation of the cameras, from
             :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`; empty if they were given.
+        matches: Matches of the context views, if they are known.
 
     Raises:
         InputError: If context views differ in size, are one picture with two poses, or all share
@@ -348,6 +352,7 @@ class Sample:
     targets: tuple[View, ...] = ()
     phrases: Mapping[int, str] = field(default_factory=dict)
     estimation: Mapping[str, Any] = field(default_factory=dict)
+    matches: MatchGraph | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
@@ -372,6 +377,8 @@ class Sample:
                     f"--size {smallest[0]}x{smallest[1]}, or size={smallest} in Python"
                 )
         _check_views(self.scene, self.context)
+        if self.matches is not None and len(self.matches.keypoints) != len(self.context):
+            self.__dict__["matches"] = None  # they are of other views
 
     @cached_property
     def content(self) -> str:
@@ -382,13 +389,30 @@ class Sample:
         """
         return content_of(*(view.image for view in self.context))
 
+    def match(self) -> MatchGraph:
+        """Return the matches of the context views, computed if they are not known."""
+        from slgaussian.cameras.match_graph import MatchGraph  # it imports this module
+
+        return self.matches or MatchGraph.of(self.context)
+
     def resized(self, height: int, width: int) -> Sample:
         """Scale and centre-crop all views to one size."""
         return replace(
             self,
             context=tuple(view.resized(height, width) for view in self.context),
             targets=tuple(view.resized(height, width) for view in self.targets),
+            matches=None,
         )
+
+    def check_held_out(self) -> None:
+        """Raise InputError if a target is a context view, or a copy of one by its content."""
+        for target, view in product(self.targets, self.context):
+            same = "is" if target.name == view.name else "is the same picture as"
+            if target.name == view.name or are_copies(target.thumbnail, view.thumbnail):
+                raise InputError(
+                    f"scene {self.scene!r}: the target {target.name!r} {same} the context view "
+                    f"{view.name!r}; a target must be held out"
+                )
 
     def localize(self) -> tuple[Sample, Frame]:
         """Return the sample in the coordinates in which Gaussians are predicted, and their frame.
@@ -419,6 +443,8 @@ class Scene:
         estimation: See :class:`Sample`.
         sources: callable str -> sequence of Path. Returns the files of a view and its camera, by
             view name; some may not exist.
+        matches: Matches of the photographs in the order of ``cameras``, pixels of the whole
+            photographs, if they are known.
     """
 
     name: str
@@ -427,13 +453,17 @@ class Scene:
     phrases: Mapping[int, str] = field(default_factory=dict)
     estimation: Mapping[str, Any] = field(default_factory=dict)
     sources: Callable[[str], Sequence[Path]] = lambda name: ()
+    matches: MatchGraph | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_names(self.name, self.cameras)
-        ordered = {name: self.cameras[name] for name in order_naturally(self.cameras)}
+        given, order = list(self.cameras), order_naturally(self.cameras)
+        ordered = {name: self.cameras[name] for name in order}
         self.__dict__["cameras"] = ordered
+        if self.matches is not None and order != given:
+            self.__dict__["matches"] = self.matches.select([given.index(name) for name in order])
         for name, camera in ordered.items():
             fx, fy = camera.K[[0, 1], [0, 1]]
             if max(fx, fy) > MAX_STRETCH * min(fx, fy):
@@ -525,8 +555,15 @@ class Scene:
             replace(view, camera=view.camera.ranged(near, far))
             for view in self._resized(names, sizes)
         ]
-        n = len(context)
-        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.estimation)
+        context_views, targets_views = tuple(views[: len(context)]), tuple(views[len(context) :])
+        graph, stored = None, list(self.cameras)
+        if self.matches is not None:
+            places = [stored.index(name) for name in names[: len(context)]]
+            graph = self.matches.select(places).crop(context_views)
+            # Photographs that are no context may have been the only ones between two that are.
+            graph = graph if graph.is_connected else None
+        origin = self.phrases, self.estimation, graph
+        return Sample(self.name, context_views, targets_views, *origin)
 
     def views(self, names: Sequence[str], size: Size = "auto") -> list[View]:
         """Read the named views and resize them, as :meth:`sample` does.

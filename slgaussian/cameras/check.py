@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, View
+from slgaussian.scene import Camera, Sample, View
 
 COARSE_DISTANCE = 0.01
 FINE_DISTANCE = 0.002
@@ -105,13 +104,14 @@ def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> 
         raise InputError(f"scene {scene!r}: {_refusal(worst, estimated)}")
 
 
-def check_pairs(views: Sequence[View], graph: MatchGraph) -> list[PairCheck]:
-    """Check the cameras of the pairs of views that connect all views, in the order of the pairs.
+def check_pairs(sample: Sample) -> list[PairCheck]:
+    """Check the cameras of the pairs of context views that connect all, in the order of the pairs.
 
     They form a maximum spanning tree of the agreeing matches. Most pairs of views along a walk show
     nothing in common, and their matches are wrong. A pair without enough agreement is used only to
     connect a view that has no other edge in the tree so far.
     """
+    views, graph = sample.context, sample.match()
     checks = {(i, j): check_pair(views[i], views[j], *graph.points(i, j)) for i, j in graph.matches}
     piece = {view: {view} for pair in checks for view in pair}
     selected = []

@@ -27,7 +27,7 @@ from slgaussian.cameras.lens_errors import (
     update,
     weigh,
 )
-from slgaussian.cameras.matches import Features, find_features, match
+from slgaussian.cameras.matches import LOWE_RATIO, Features, find_features, match
 from slgaussian.cameras.subpixel import sharpen
 from slgaussian.datasets.lens import lens_maps, unfold
 from slgaussian.io import short_repr
@@ -219,6 +219,7 @@ class PairPose:
         rivals: list of (float, TwoViews). Probability and solution of each assumption on lenses.
         deviations: float64 [2]. Standard deviations of the log focal lengths, if the distortion is
             unknown.
+        matches: (int [N], int [N]). All matches that pass :data:`LOWE_RATIO`, right or wrong.
     """
 
     first: Described
@@ -234,6 +235,7 @@ class PairPose:
     lenses: tuple[LensEvidence, LensEvidence] | None = None
     rivals: Sequence[tuple[float, TwoViews]] = ()
     deviations: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    matches: tuple[np.ndarray, np.ndarray] = (np.zeros(0, int), np.zeros(0, int))
 
     def of(self, mask: np.ndarray) -> PairPose:
         """Return the pose with the inliers restricted to ``mask``, bool [M]."""
@@ -252,14 +254,19 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     """
     i, j, ratios = match(a.features, b.features, POSE_LOWE_RATIO)
     order = np.argsort(ratios, kind="stable")
-    i, j = i[order], j[order]
-    pose = _pose_from_matches(a, b, i, j, prior)
+    i, j, reliable = i[order], j[order], ratios[order] < LOWE_RATIO
+
+    def find_pose(used: np.ndarray) -> PairPose:
+        pose, good = _pose_from_matches(a, b, i[used], j[used], prior), used & reliable
+        return replace(pose, matches=(i[good], j[good]))
+
+    pose = find_pose(np.ones(len(i), bool))
     moved = np.linalg.norm(a.features.points[i] - b.features.points[j], axis=1)
     still = moved < STILL_DISTANCE
     if pose.estimate.verdict != UNUSED or still.sum() < MIN_INLIERS or still.all():
         return pose
     # Marks on the photographs themselves agree with cameras that do not move.
-    scene = _pose_from_matches(a, b, i[~still], j[~still], prior)
+    scene = find_pose(~still)
     if scene.estimate.inliers < MIN_INLIERS or np.median(moved[~still]) < MIN_MOVED_DISTANCE:
         return pose
     if scene.estimate.verdict != UNUSED:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,10 @@ def _in_memory(images: Sequence[Any]) -> Scene:
         view = View(name, estimated.cameras[name], pixels)
         return undistort(view, lenses[name]()) if name in lenses else view
 
-    return Scene("images", estimated.cameras, read_view, estimation=estimated.as_json())
+    record = estimated.as_json()
+    return Scene(
+        "images", estimated.cameras, read_view, estimation=record, matches=estimated.matches
+    )
 
 
 def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
@@ -232,7 +236,8 @@ def _photograph(image: Image.Image, name: str, mask: Mask | None = None) -> Phot
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
     """Return the scene of photographs by name with their estimated cameras."""
     name, record = folder_of(files).name or "photographs", estimated.as_json()
-    return scene_of(
+    scene = scene_of(
         name, estimated.cameras, files, "photographs", lenses=estimated.lenses(), upright=True,
         estimation=record,
     )  # fmt: skip
+    return replace(scene, matches=estimated.matches)

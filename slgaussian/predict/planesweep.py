@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.work_sharing import share_items
@@ -66,7 +65,7 @@ class PlaneSweep(PlaneSweepConfig):
     ``depth_candidates``.
     """
 
-    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Predict Gaussians in the world frame of ``sample``.
 
         The first are those of context pixels, in the order of ``source``, without surfaces that
@@ -78,16 +77,14 @@ class PlaneSweep(PlaneSweepConfig):
                 one, if near is not below far, if two views have no overlap within the range, or if
                 matches show that two views have no baseline or that their poses are exchanged.
         """
-        return self.counted(sample, seed, graph)[0]
+        return self.counted(sample, seed)[0]
 
-    def counted(
-        self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
-    ) -> tuple[Gaussians, Depths]:
+    def counted(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
         """Predict as by a call, and count the depth candidates; raises as a call."""
         sample, frame = sample.localize()
         views = sample.context
         ranged = all(None not in (view.camera.near, view.camera.far) for view in views)
-        linked = link_views(views, graph or MatchGraph.of(views), ranged)
+        linked = link_views(sample, ranged)
         swept = sweep(self, sample, linked.links)
         depths = Depths(sum(len(s.steps) for s in swept), len(swept) * self.depth_candidates)
         return assemble(sample, linked, swept).place(frame), depths

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.check import COARSE_DISTANCE, agree
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.checks import companion
 from slgaussian.errors import InputError
@@ -94,15 +93,13 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
         if not self.geometry.exists():
             raise InputError(f"precomputed geometry: there is no {str(self.geometry)!r}")
 
-    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Predict Gaussians in the world frame of ``sample``; the result ignores ``seed``."""
         assert self.geometry is not None  # checked by __init__
-        sample, frame = sample.localize()
-        views = sample.context
-        matches = graph or MatchGraph.of(views)
-        maps = find_maps(self.geometry, sample)
-        depths, confidences = _read(self.geometry, views, maps, agreeing(views, matches))
-        linked = link_views(views, matches, ranged=True)
+        sample, frame = replace(sample, matches=sample.match()).localize()
+        maps, matches = find_maps(self.geometry, sample), agreeing(sample)
+        depths, confidences = _read(self.geometry, sample.context, maps, matches)
+        linked = link_views(sample, ranged=True)
         swept, low = _swept(sample, linked, depths, confidences)
         gaussians = assemble(sample, linked, swept)
         arrays = gaussians.to_arrays()
@@ -151,9 +148,10 @@ def _find_map(folder: Path, view: View) -> DepthMap:
     return DepthMap(str(file), known_depth(read_map(file)), confidence)
 
 
-def agreeing(views: Sequence[View], graph: MatchGraph) -> Matches:
+def agreeing(sample: Sample) -> Matches:
     """Return the matches of each pair that fit a fundamental matrix, independent of the cameras."""
-    bound = COARSE_DISTANCE * float(np.hypot(*views[0].grey.shape))
+    graph = sample.match()
+    bound = COARSE_DISTANCE * float(np.hypot(*sample.context[0].grey.shape))
     matches_of_pair = {}
     for pair in graph.matches:
         a, b = graph.points(*pair)

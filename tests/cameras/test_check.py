@@ -12,9 +12,8 @@ from hypothesis.extra import numpy as arrays
 from slgaussian import datasets
 from slgaussian.build import predict
 from slgaussian.cameras.check import COARSE_DISTANCE, agree, angles, check_pairs, explained, refuse
-from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.components.method import Method
 from slgaussian.errors import InputError
+from slgaussian.predict import load_predictor
 from slgaussian.scene import Camera, Estimated, Sample
 from tests.cameras.walls import two_rows, views_of_wall
 
@@ -22,7 +21,7 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def checked(sample):
-    checks = check_pairs(sample.context, MatchGraph.of(sample.context))
+    checks = check_pairs(sample)
     refuse(sample.scene, checks)
     return checks
 
@@ -93,13 +92,13 @@ def test_usual_mistake_is_refused_with_advice(room, mistake, advice):
 
 def test_advice_differs_between_given_and_estimated_cameras(room):
     wrong = changed(room, lambda c: focal(c, 3))
-    graph, predictor = MatchGraph.of(wrong.context), Method().predictor
+    predictor = load_predictor()
     with pytest.raises(InputError, match="`slgaussian field` without --cameras finds them"):
-        predict(wrong, graph, predictor, 0)
+        predict(wrong, predictor, 0)
     guess = Estimated((0.9, 1.1), "guess", 0.5)
     wrong = changed(wrong, lambda c: replace(c, estimated=guess))
     with pytest.raises(InputError, match=r"that were found explain .*give their cameras") as error:
-        predict(wrong, graph, predictor, 0)
+        predict(wrong, predictor, 0)
     assert "without --cameras" not in str(error.value)
 
 

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from benches.views.numbers_of_views import Row, at_targets
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.datasets.procedural.raycast import BOX, Solid
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.predict.view_graph import link_views
@@ -135,7 +134,7 @@ def test_a_loop_closes():
         tuple(photograph(f"view{k}", at(k / AROUND), extra=[FRONT]) for k in numbers)
         for numbers in (range(AROUND), [AROUND - 0.5])
     )
-    linked = link_views(views, MatchGraph.of(views), ranged=False)
+    linked = link_views(Sample("loop", views), ranged=False)
     sources = [[link.source for link in local] for local in linked.links]
     assert 0 in sources[-1] and AROUND - 1 in sources[0]
     half = AROUND // 2

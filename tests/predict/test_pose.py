@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from textured_planes import NORMAL, Plane, camera, sample
 
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.build import select_usable
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.predict.depth_hypotheses import (
@@ -17,7 +17,8 @@ from slgaussian.predict.depth_hypotheses import (
     visible_share,
 )
 from slgaussian.predict.pose_refinement import refine
-from slgaussian.predict.view_graph import link_views, select_usable
+from slgaussian.predict.view_graph import link_views
+from slgaussian.scene import Sample
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))
@@ -34,7 +35,7 @@ def matches(count=200, noise=0.0, seed=0):
 
 def linked(views, ranged=False):
     """The views linked by all of their matches."""
-    return link_views(views, MatchGraph.of(views), ranged)
+    return link_views(Sample("plane", tuple(views)), ranged)
 
 
 def test_exact_matches_lie_on_their_epipolar_lines_and_triangulate():
@@ -127,11 +128,11 @@ def test_two_views_without_matches_are_named():
 def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     initial = sample(camera(), camera(x=0.3), camera(x=0.5))
     among = replace(initial, context=(initial.context[0], ELSEWHERE, *initial.context[1:]))
-    stored, _, left_out = select_usable(among)
+    stored, left_out = select_usable(among)
     assert [view.name for view in stored.context] == [view.name for view in initial.context]
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
-    stored, _, left_out = select_usable(initial)
-    assert stored is initial and not left_out
+    stored, left_out = select_usable(initial)
+    assert stored.context == initial.context and not left_out
 
 
 def test_range_is_wider_than_the_matches_and_bounded_far_away():

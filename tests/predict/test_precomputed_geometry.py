@@ -10,15 +10,13 @@ from PIL import Image
 from textured_planes import Plane, camera, sample
 
 from slgaussian.build import predict
-from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.components.component import Component
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep, sweep
 from slgaussian.predict.precomputed import _read as read_depths
-from slgaussian.predict.precomputed import agreeing, find_maps
+from slgaussian.predict.precomputed import find_maps
 from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Sample, View
 
@@ -60,8 +58,7 @@ def off(scene: Sample, place: Path) -> float:
 def test_depth_of_a_sweep_read_again_makes_the_gaussians_of_the_sweep(tmp_path, count):
     cameras = [camera(x=0.2 * i, turn=0.05 * i) for i in range(count)]
     scene = sample(*cameras)
-    graph = MatchGraph.of(scene.context)
-    swept = sweep(PlaneSweep(), scene, link_views(scene.context, graph, False).links)
+    swept = sweep(PlaneSweep(), scene, link_views(scene, False).links)
     depth = [np.where(s.answered, 1 / s.inverse_depth.astype(float), 0) for s in swept]
     expected = PlaneSweep()(scene).to_arrays()
     arrays = predicted(scene, saved(tmp_path, depth=np.array(depth))).to_arrays()
@@ -203,7 +200,7 @@ def test_a_reading_that_no_match_checks_is_said(tmp_path, steep):
     blank = [replace(view, image=np.full_like(view.image, 90)) for view in steep.context]
     maps = find_maps(saved(tmp_path, depth=true_depth(steep)), steep)
     with pytest.warns(UserWarning, match="too few matches, 0, to check how its numbers are meant"):
-        read_depths(tmp_path, blank, maps, agreeing(blank, MatchGraph.of(blank)))
+        read_depths(tmp_path, blank, maps, {})
 
 
 def test_names_tell_maps_apart(tmp_path, steep):
@@ -235,8 +232,7 @@ def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
     confidence[:, :40] = sure[0]
     confidence += 1e-3 * np.random.default_rng(1).random(depth.shape)
     place = saved(tmp_path, depth=depth, conf=confidence)
-    settings = Component.of("predictor", "precomputed", {"geometry": place})
-    gaussians = predict(steep, MatchGraph.of(steep.context), settings, 0).gaussians
+    gaussians = predict(steep, load_predictor("precomputed", geometry=place), 0).gaussians
     arrays = gaussians.to_arrays()
     row = arrays["source"] // steep.context[0].camera.width % steep.context[0].camera.height
     visible = ~arrays["guessed"]

@@ -68,7 +68,7 @@ def test_gaussians_lie_on_the_rays_of_their_pixels(predict):
 def test_gaussians_scale_with_the_scene(predict):
     scene = pair(96, 128)
     # By matches, and not by the distance between the views, which is 0.4.
-    assert 1.5 < estimate_near(scene.context) < 2.5
+    assert 1.5 < estimate_near(scene) < 2.5
     first, ten = predict(scene), predict(scaled(scene, 10.0))
     # The same numbers to rounding: matches are triangulated in float64.
     torch.testing.assert_close(ten.means, 10 * first.means, rtol=1e-4, atol=1e-3)
