@@ -90,10 +90,10 @@ def build_field(
     encoder, codes, lifting = (c.load() for c in (method.encoder, method.codes, method.lifting))
     sample, predicted, label_maps = label_photographs(sample, method, trust_cameras, took)
     gaussians, geometry, quality, depths = predicted
-    with _timed("supervision", took):
+    with _time_step("supervision", took):
         drawing = codes, method.seed, method.bank
         bank = build_memory_bank(sample, geometry, label_maps, encoder, *drawing)
-    with _timed("field", took):
+    with _time_step("field", took):
         return lift_field(sample, gaussians, label_maps, bank, lifting, method, quality, depths)
 
 
@@ -114,9 +114,9 @@ def label_photographs(
     sample, left_out = select_usable(sample)
     for name, reason in left_out.items():
         warnings.warn(f"{name} is left out: {reason}", stacklevel=3)
-    with _timed("geometry", took):
+    with _time_step("geometry", took):
         predicted = predict(sample, predictor, method.seed, trust_cameras)
-    with _timed("masks", took):
+    with _time_step("masks", took):
         votes = method.replicas, method.votes
         label_maps = label_views(predicted.geometry, proposer, tracker, *votes)
     return sample, predicted, label_maps
@@ -221,7 +221,7 @@ def predict(
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()
     if isinstance(predictor, CountingPredictor):
-        gaussians, depths = predictor.counted(local, seed)
+        gaussians, depths = predictor.predict_with_counts(local, seed)
     else:
         gaussians = predictor(local, seed)
     gaussians = gaussians.place(frame)
@@ -371,7 +371,7 @@ def _with_confidence(camera: Camera, quality: Quality) -> Camera:
 
 
 @contextmanager
-def _timed(step: str, took: Callable[[str, float], None]) -> Iterator[None]:
+def _time_step(step: str, took: Callable[[str, float], None]) -> Iterator[None]:
     start = time.perf_counter()
     yield
     took(step, time.perf_counter() - start)

@@ -170,7 +170,7 @@ class Camera:
         near, far = (None if bound is None else bound / unit for bound in (self.near, self.far))
         return replace(self, c2w=c2w, near=near, far=far)
 
-    def ranged(self, near: float | None, far: float | None) -> Camera:
+    def with_range(self, near: float | None, far: float | None) -> Camera:
         """Return the camera with another depth range along z, scene units; None keeps a bound."""
         near, far = self.near if near is None else near, self.far if far is None else far
         return replace(self, near=near, far=far)
@@ -552,8 +552,8 @@ class Scene:
                 )
         sizes = [size] * len(context) + [judged or size] * len(targets)
         views = [
-            replace(view, camera=view.camera.ranged(near, far))
-            for view in self._resized(names, sizes)
+            replace(view, camera=view.camera.with_range(near, far))
+            for view in self._read_views(names, sizes)
         ]
         context_views, targets_views = tuple(views[: len(context)]), tuple(views[len(context) :])
         graph, stored = None, list(self.cameras)
@@ -561,7 +561,7 @@ class Scene:
             places = [stored.index(name) for name in names[: len(context)]]
             graph = self.matches.select(places).crop(context_views)
             # Photographs that are no context may have been the only ones between two that are.
-            graph = graph if graph.is_connected else None
+            graph = graph if graph.connects_all else None
         origin = self.phrases, self.estimation, graph
         return Sample(self.name, context_views, targets_views, *origin)
 
@@ -571,9 +571,9 @@ class Scene:
         InputError if a view cannot be found or read.
         """
         names = [self.find(name) for name in names]
-        return list(self._resized(names, [size] * len(names)))
+        return list(self._read_views(names, [size] * len(names)))
 
-    def _resized(self, names: Sequence[str], sizes: Sequence[Size]) -> Iterator[View]:
+    def _read_views(self, names: Sequence[str], sizes: Sequence[Size]) -> Iterator[View]:
         """Read views one at a time, as photographs are large, and resize them."""
         photographs = (*self.cameras, *self.left_out)
         cameras = [self.cameras[name] for name in names]

@@ -16,7 +16,7 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
-from slgaussian.datasets.sources import Photographs, digests_of
+from slgaussian.datasets.sources import Photographs, hash_files
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
@@ -81,7 +81,7 @@ class Labels:
         if self.folder is None:
             return {}
         files = [file for target in self.targets for file in label_files(self.folder, target)]
-        return digests_of(files, self.folder)
+        return hash_files(files, self.folder)
 
     def identity(self) -> dict[str, Any]:
         """Return the identity of the truth for cache keys: content, but no locations of files."""

@@ -50,7 +50,7 @@ def load_photographs(
         InputError: If an argument cannot be used.
     """
     if cameras is None and settings.predictor == "precomputed":
-        cameras = _cameras_of(settings.precomputed.geometry)
+        cameras = _find_cameras(settings.precomputed.geometry)
     if cameras is None:
         files = unposed.named(photos)
         if keyframes is not None:
@@ -74,7 +74,7 @@ def load_photographs(
     return sample, places
 
 
-def _cameras_of(geometry: Path | None) -> Path | None:
+def _find_cameras(geometry: Path | None) -> Path | None:
     """Return the file of precomputed geometry if it has cameras too."""
     if geometry is None or geometry.suffix != ".npz" or not geometry.is_file():
         return None

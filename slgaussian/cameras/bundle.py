@@ -150,7 +150,7 @@ def adjust(
     normal = problem.normal(state)
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
-        trial = problem.project(problem.moved(state.bundle, normal, damping))
+        trial = problem.project(problem.take_step(state.bundle, normal, damping))
         gain = state.cost - trial.cost
         if not gain > 0:
             damping, growth = damping * growth, growth * 2
@@ -278,9 +278,9 @@ class _Problem:
             prior,
         )
 
-    def moved(self, bundle: Bundle, normal: _Normal, damping: float) -> Bundle:
+    def take_step(self, bundle: Bundle, normal: _Normal, damping: float) -> Bundle:
         """Return the bundle after the damped step of the cameras and of the points."""
-        S, side, inverse = self.reduced(normal, damping)
+        S, side, inverse = self.eliminate_points(normal, damping)
         S += normal.prior
         np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras + normal.prior)
         free = self.free(bundle)
@@ -301,7 +301,9 @@ class _Problem:
         focals = bundle.focals * np.exp(logs)
         return replace(bundle, R=_rotations(poses[:, :3]) @ bundle.R, t=t, focals=focals, points=q)
 
-    def reduced(self, normal: _Normal, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def eliminate_points(
+        self, normal: _Normal, damping: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the cameras' Schur complement [P, P] and right side [P], and inverse blocks of
         points."""
         diagonal = np.einsum("nii->ni", normal.points)
@@ -344,7 +346,7 @@ class _Problem:
         The covariance is that of an M-estimator (Huber 1981, ch. 7.6). Points and cameras reduce
         the degrees of freedom of the residuals.
         """
-        S, _, _ = self.reduced(normal, 0.0)
+        S, _, _ = self.eliminate_points(normal, 0.0)
         free = self.free(state.bundle)
         r2 = (state.residuals**2).sum(1)
         weight = 3 / (self.scale**2 + r2)

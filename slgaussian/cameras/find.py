@@ -178,7 +178,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
         sigma,
         [_tie(views, pose) for views, pose in solved.items()],
     )
-    _require_all_placed(ordered, poses, placed)
+    _require_places(ordered, poses, placed)
     assert placed is not None
     bundle = placed.adjusted.bundle
     index_of = np.argsort(placed.order)[np.argsort(order)]
@@ -193,7 +193,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
             f"{first!r} and {second!r}: taken from one place, but the distance of the first two is "
             "the unit of length; leave one out, or put it last"
         )
-    pairs = {views: _checked(pose, placed, views, order) for views, pose in poses.items()}
+    pairs = {views: _check_pair(pose, placed, views, order) for views, pose in poses.items()}
     probability = _confidence(ordered, placed, pairs)
     lens = bundle.group[index_of]
     deviations = placed.adjusted.focal_deviations[lens]
@@ -291,7 +291,7 @@ def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
     return Tie(views, (pose.i, pose.j), pose.views, angle, confidence(pose))
 
 
-def _require_all_placed(
+def _require_places(
     described: Sequence[Described], poses: dict[tuple[int, int], PairPose], placed: Placed | None
 ) -> None:
     """Raise InputError if no photograph was placed, Unplaced if some were not."""
@@ -325,7 +325,7 @@ def _unplaced_reason(
     return f"of it and {neighbour!r}, which shares most with it: {reason}"
 
 
-def _checked(
+def _check_pair(
     pose: PairPose, placed: Placed, views: tuple[int, int], order: Sequence[int]
 ) -> EstimatedPair:
     """Return the estimate of a pair in input order, UNUSED if the joint solution contradicts it."""
@@ -394,7 +394,7 @@ def _estimated_cameras(
     cameras, by_name = {}, {}
     for k, item in enumerate(described):
         photograph = item.photograph
-        focal = focal_of(focals[k] / item.shrunk, float(deviations[k]), item)
+        focal = estimate_focal(focals[k] / item.shrunk, float(deviations[k]), item)
         f, width, height = focal.pixels, photograph.width, photograph.height
         c2w = np.eye(4)
         c2w[:3, :3], c2w[:3, 3] = R[k].T, -R[k].T @ t[k]
@@ -437,7 +437,7 @@ def _lens_warnings(described: Sequence[Described], focals: Mapping[str, Focal]) 
     return tuple(notes.values())
 
 
-def focal_of(pixels: float, deviation: float, item: Described) -> Focal:
+def estimate_focal(pixels: float, deviation: float, item: Described) -> Focal:
     """Return the focal length of the whole photograph with its interval, from the standard
     deviation of its logarithm. Where EXIF may be wrong, the interval is that of both answers."""
     priors = item.priors

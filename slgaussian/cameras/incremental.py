@@ -119,12 +119,12 @@ def place(
         grown = _Reconstruction(tracks, centers, group, focal_prior, focal_sigma, ties)
         if not grown.grow(start):
             continue
-        explained = grown.explained()
+        explained = grown.count_inliers()
         trials.append(((len(grown.placed), explained), grown))
         sufficient = SUFFICIENT_INLIER_SHARE * len(tracks.view)
         if len(grown.placed) == len(keypoints) and explained > sufficient:
             break
-    return max(trials, key=lambda trial: trial[0])[1].finished() if trials else None
+    return max(trials, key=lambda trial: trial[0])[1].finish() if trials else None
 
 
 @dataclass(eq=False)
@@ -166,7 +166,7 @@ class _Reconstruction:
                 adjusted = len(self.placed)
         return True
 
-    def finished(self) -> Placed | None:
+    def finish(self) -> Placed | None:
         """Adjust all views in the frame of the first view; None if they have too few inliers."""
         self.placed.sort()
         a = self.placed[0]
@@ -182,7 +182,7 @@ class _Reconstruction:
             last = self._adjust(1.0, FINAL_TRACKS, 30, 1e-6)
         return None if last is None else Placed(np.array(self.placed), last)
 
-    def explained(self) -> int:
+    def count_inliers(self) -> int:
         """Count the inlier observations."""
         return int(self._points(1.0)[1].sum())
 

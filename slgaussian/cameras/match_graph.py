@@ -72,7 +72,7 @@ class MatchGraph:
         return MatchGraph(keypoints, matches)
 
     @property
-    def is_connected(self) -> bool:
+    def connects_all(self) -> bool:
         """True if a chain of pairs with matches leads from each view to each other."""
         reached, pairs = {0}, [{*pair} for pair, (first, _) in self.matches.items() if len(first)]
         for _ in self.keypoints:

@@ -271,7 +271,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         return pose
     if scene.estimate.verdict != UNUSED:
         return scene
-    return _refused(
+    return _refuse(
         pose,
         f"{still.sum()} of {len(i)} matches are at the same pixels in both, as the marks of a "
         "status bar or a watermark are, and the others do not determine the cameras",
@@ -304,7 +304,7 @@ def _pose_from_matches(
             "take the second photograph from a step sideways, with things at different distances",
         )
         # A shared crop or plane must fill one of the two photographs.
-        return _refused(
+        return _refuse(
             all_matches.of(flat),
             *(_flaw_of_points(all_matches.of(flat), MIN_PLANAR_COVER, max) or degenerate),
         )
@@ -319,7 +319,7 @@ def _pose_from_matches(
     if count < max(MIN_INLIERS, MIN_INLIER_SHARE * len(i)):
         return _refuse_few(pose)
     if (flaw := _flaw_of_points(pose, MIN_COVER, min)) is not None:
-        return _refused(pose, *flaw)
+        return _refuse(pose, *flaw)
     assert best.covariance is not None
     # Standard deviation of rotation or direction, over all axes together.
     uncertainty = float(np.degrees(np.sqrt(np.trace(best.covariance[:5, :5]))))
@@ -329,7 +329,7 @@ def _pose_from_matches(
     pose = replace(pose, estimate=measured, probability=probability)
     mostly_flat = flat.sum() > MAX_HOMOGRAPHY_SHARE * count
     if probability < (DOUBTFUL_PROBABILITY if mostly_flat else REFUSED_PROBABILITY):
-        return _refused(
+        return _refuse(
             pose,
             "different positions of the cameras explain the matches about as well, as happens with "
             "repeated patterns, flat things and little overlap",
@@ -338,7 +338,7 @@ def _pose_from_matches(
     open_position = f"the matches leave the position open by {uncertainty:.0f} degrees"
     if uncertainty > REFUSED_UNCERTAINTY:
         advice = "take photographs that share more, from a step farther apart"
-        return _refused(pose, open_position, advice)
+        return _refuse(pose, open_position, advice)
     doubts = []
     if probability < DOUBTFUL_PROBABILITY:
         doubts.append("another position of the cameras would explain the matches almost as well")
@@ -425,7 +425,7 @@ def _cover(points: np.ndarray, of: Described) -> float:
     return cv2.contourArea(cv2.convexHull(points.astype(np.float32))) / (height * width)
 
 
-def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
+def _refuse(pose: PairPose, reason: str, advice: str) -> PairPose:
     estimate = replace(pose.estimate, verdict=UNUSED, said=reason)
     return replace(pose, estimate=estimate, advice=advice)
 
@@ -436,15 +436,15 @@ def _refuse_few(pose: PairPose) -> PairPose:
     for item in (pose.first, pose.second):
         name, (height, width) = item.photograph.name, item.grey.shape
         if min(height, width) < MIN_SIDE:
-            return _refused(
+            return _refuse(
                 pose,
                 f"{name!r} has {width}x{height} pixels, too few to find points in",
                 f"give photographs of {MIN_SIDE} pixels or more on each side",
             )
         if item.grey.std() < BLANK_DEVIATION:
             look = "black" if item.grey.mean() < 16 else "blank"
-            return _refused(pose, f"{name!r} is {look}", "leave it out, or take it again")
-    return _refused(
+            return _refuse(pose, f"{name!r} is {look}", "leave it out, or take it again")
+    return _refuse(
         pose,
         f"too few points are found that both show ({pose.estimate.inliers} of {matches} matches "
         f"agree, expected {MIN_INLIERS} or more)",

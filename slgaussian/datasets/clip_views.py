@@ -39,7 +39,7 @@ class Framing:
     def read(self, clip: re10k.Clip, frames: Sequence[int]) -> tuple[View, ...]:
         """Decode and resize frames of a clip; InputError if one cannot be decoded."""
         views = [clip.view(frame).resized(*self.size) for frame in frames]
-        return tuple(replace(v, camera=v.camera.ranged(self.near, self.far)) for v in views)
+        return tuple(replace(v, camera=v.camera.with_range(self.near, self.far)) for v in views)
 
     def read_sample(self, clip: re10k.Clip, row: Mapping[str, Any], targets: bool) -> Sample:
         """Read the sample of a row of spec ``pairs``.

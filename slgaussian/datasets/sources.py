@@ -127,7 +127,7 @@ def data_identity(
         path: Folder or file of the data.
 
     Returns:
-        dict: ``files``: SHA-256 by path below the folder, from :func:`digests_of`. ``cameras``:
+        dict: ``files``: SHA-256 by path below the folder, from :func:`hash_files`. ``cameras``:
             SHA-256 of the ordered, named cameras.
     """
     numbers = [
@@ -135,11 +135,11 @@ def data_identity(
         for name, camera in cameras.items()
     ]
     text = json.dumps(numbers, sort_keys=True)
-    digests = digests_of(files, path if path.is_dir() else path.parent)
+    digests = hash_files(files, path if path.is_dir() else path.parent)
     return {"files": digests, "cameras": hashlib.sha256(text.encode()).hexdigest()}
 
 
-def digests_of(files: Iterable[Path], folder: Path) -> dict[str, str]:
+def hash_files(files: Iterable[Path], folder: Path) -> dict[str, str]:
     """Compute the SHA-256 of files by path below a folder.
 
     Missing and unreadable files are skipped: their reader has a better message.

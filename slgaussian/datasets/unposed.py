@@ -35,7 +35,7 @@ from slgaussian.datasets.photographs import (
 )
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
-from slgaussian.io import file_sha256
+from slgaussian.io import file_digest
 from slgaussian.scene import Sample, Scene, Size, View
 
 Place = str | Path
@@ -112,17 +112,17 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
     Raises:
         InputError: As :func:`photographs`.
     """
-    listed = _listed(path, only)
+    listed = _list_files(path, only)
     return posed(listed, find(listed))
 
 
 def files(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> list[Path]:
     """List the photographs of a scene, all of which influence the estimated cameras."""
-    listed = _listed(path, only)
+    listed = _list_files(path, only)
     return [*listed.values(), *(mask.file for mask in find_masks(listed).values())]
 
 
-def _listed(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
+def _list_files(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
     places = [path] if isinstance(path, Place) else path
     return named(places if only is None else [Path(places[0]) / name for name in only])
 
@@ -183,8 +183,8 @@ def find(files: Mapping[str, Path]) -> EstimatedCameras:
     """Estimate the cameras of photographs by name, cached by the files and their order."""
     masks = find_masks(files)
     try:
-        stamped = [(n, str(file), file_sha256(file), masks.get(n)) for n, file in files.items()]
-        digests = [file_sha256(mask.file) for mask in masks.values()]
+        stamped = [(n, str(file), file_digest(file), masks.get(n)) for n, file in files.items()]
+        digests = [file_digest(mask.file) for mask in masks.values()]
     except OSError as bad:
         raise InputError(
             f"{bad.filename}: cannot be read ({bad.strerror}); give the files of photographs"

@@ -39,7 +39,7 @@ class Depths(NamedTuple):
 class CountingPredictor(GaussianPredictor, Protocol):
     """A predictor that counts the depth candidates that it compares."""
 
-    def counted(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
+    def predict_with_counts(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
         """Predict as by a call, and count the depth candidates."""
 
 

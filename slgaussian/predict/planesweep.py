@@ -33,7 +33,7 @@ from slgaussian.predict.depth_hypotheses import (
 )
 from slgaussian.predict.depth_propagation import MAX_SPECKLE_SHARE, SweptView, propagate_depth
 from slgaussian.predict.exposure import color_gains
-from slgaussian.predict.fusion import blend, select_drawn
+from slgaussian.predict.fusion import blend, select_pixels
 from slgaussian.predict.pose_refinement import anchor_cameras
 from slgaussian.predict.sgm import aggregate, select_winners
 from slgaussian.predict.unproject import unproject
@@ -77,9 +77,9 @@ class PlaneSweep(PlaneSweepConfig):
                 one, if near is not below far, if two views have no overlap within the range, or if
                 matches show that two views have no baseline or that their poses are exchanged.
         """
-        return self.counted(sample, seed)[0]
+        return self.predict_with_counts(sample, seed)[0]
 
-    def counted(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
+    def predict_with_counts(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
         """Predict as by a call, and count the depth candidates; raises as a call."""
         sample, frame = sample.localize()
         views = sample.context
@@ -111,7 +111,7 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
     cameras = anchor_cameras(given_cameras, linked.cameras, linked.closeness())
     visible = unproject(cameras, colors, depths, opacities)
     confirmed = [s.confirmed for s in swept]
-    drawn = np.ravel(select_drawn(linked, depths, confirmed, steps))
+    drawn = np.ravel(select_pixels(linked, depths, confirmed, steps))
     beyond = continue_surfaces(cameras, colors, depths, steps)
     visible, beyond = (
         part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (visible, beyond)
@@ -218,7 +218,7 @@ def _complete_depths(
         planes = fit_planes(sweep.inverse_depth, sweep.answered, sweep.step)
         witnesses = [(link.relative, swept[link.source].confirmed) for link in sources]
         filled = fill_depth(
-            sweep.inverse_depth, sweep.known, view.grey, planes, sweep.steps, witnesses
+            sweep.inverse_depth, sweep.valid, view.grey, planes, sweep.steps, witnesses
         )
         return weighted_median(filled, view.image, sweep.steps[0], sweep.step)
 

@@ -100,7 +100,7 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
         maps, matches = find_maps(self.geometry, sample), agreeing(sample)
         depths, confidences = _read(self.geometry, sample.context, maps, matches)
         linked = link_views(sample, ranged=True)
-        swept, low = _swept(sample, linked, depths, confidences)
+        swept, low = _cross_check_all(sample, linked, depths, confidences)
         gaussians = assemble(sample, linked, swept)
         arrays = gaussians.to_arrays()
         guessed = arrays["guessed"] | low.ravel()[arrays["source"]]
@@ -110,7 +110,7 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
 def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
     """Find and read the map of every context view; InputError as :class:`PrecomputedGeometry`."""
     if place.is_file() and place.suffix == ".npz":
-        return _maps_of(place, sample.context)
+        return _select_maps(place, sample.context)
     if not place.is_dir():
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
     folders = (place / name for name in (sample.scene, FRAME_NUMBERS.sub("", sample.scene)))
@@ -118,7 +118,7 @@ def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
     return [_find_map(place, view) for view in sample.context]
 
 
-def _maps_of(file: Path, views: Sequence[View]) -> list[DepthMap]:
+def _select_maps(file: Path, views: Sequence[View]) -> list[DepthMap]:
     stored = read_geometry(file)
     others = [name for view in views for name in view.namesakes]
     numbers = stored.numbers([view.name for view in views], others)
@@ -141,7 +141,7 @@ def _find_map(folder: Path, view: View) -> DepthMap:
             f"one of {', '.join(DEPTH_SUFFIXES)}"
         )
     if file.suffix == ".npz":
-        return _maps_of(file, [view])[0]
+        return _select_maps(file, [view])[0]
     suffixes = [f"_conf{suffix}" for suffix in DEPTH_SUFFIXES]
     beside = companion(folder, view.name, suffixes, view.namesakes)
     confidence = None if beside is None else read_map(beside, byte=True)
@@ -283,7 +283,7 @@ def choose_reading(
     tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
     best_error = min(fitted.error for _, fitted in tried)
     chosen, fitted = next(one for one in tried if BETTER_ERROR_RATIO * one[1].error <= best_error)
-    blank = fit(chosen[1], [_powered(depth, 0) for depth in chosen[2]], matches)
+    blank = fit(chosen[1], [_raise_depth(depth, 0) for depth in chosen[2]], matches)
     fitted = replace(fitted, blank=blank.share)
     if fitted.count < 2 * MIN_MATCHES:
         warnings.warn(
@@ -296,7 +296,7 @@ def choose_reading(
     advice = ""
     if not is_confirmed:
         inverse = min(
-            (fit(cameras, [_powered(depth, -1) for depth in depths], matches)
+            (fit(cameras, [_raise_depth(depth, -1) for depth in depths], matches)
              for _, cameras, depths in readings),
             key=lambda one: one.error,
         )  # fmt: skip
@@ -320,7 +320,7 @@ def choose_reading(
     return chosen, fitted
 
 
-def _powered(depth: Depth, power: int) -> Depth:
+def _raise_depth(depth: Depth, power: int) -> Depth:
     """Return a function that looks up a power of the depth, 0 where it is unknown."""
 
     def look_up(points: np.ndarray) -> np.ndarray:
@@ -389,7 +389,7 @@ def _view_to_map(view: View, depth_map: DepthMap) -> dict[str, np.ndarray]:
     return ways
 
 
-def _swept(
+def _cross_check_all(
     sample: Sample,
     linked: ViewGraph,
     depths: Sequence[np.ndarray],

@@ -23,24 +23,24 @@ def room() -> Sample:
     return scene.sample(list(scene.cameras))
 
 
-def quality_of(sample: Sample, depths: np.ndarray) -> Quality:
+def measure_quality(sample: Sample, depths: np.ndarray) -> Quality:
     geometry = SceneGeometry(tuple(map(SeenView, sample.context, depths)))
     return measure(geometry, check_pairs(sample))[0]
 
 
 def test_true_depth_is_confirmed_and_wrong_or_missing_depth_is_not(room):
     depths = np.stack([view.depth for view in room.context])
-    good = quality_of(room, depths)
+    good = measure_quality(room, depths)
     assert good.camera_confidence(0.95) > 0.95
     assert 0.7 < good.overlap < 1 and 0.8 * good.overlap < good.confirmed <= 1
     assert good.clash < 0.1 and good.verdict().level == "good"
     wrong = depths.copy()
     wrong[1] *= 1.1
-    poor = quality_of(room, wrong)
+    poor = measure_quality(room, wrong)
     assert poor.confirmed < 0.1 and poor.verdict().level == "poor"
     half = depths.copy()
     half[0, :, :108] = 0  # Transparent pixels are not counted, and confirm none of the other view.
-    partial = quality_of(room, half)
+    partial = measure_quality(room, half)
     assert partial.overlap > 0.7 and partial.confirmed < good.confirmed
 
 
@@ -63,14 +63,14 @@ def test_overlap_of_a_plane_matches_its_disparity(room):
 
 def test_views_are_judged_by_those_they_overlap_rather_than_the_nearest():
     depths = np.full((6, 80, 240), FAR, np.float32)
-    quality = quality_of(two_rows(), depths)
+    quality = measure_quality(two_rows(), depths)
     assert quality.judged and quality.explained > 0.9 and quality.matches > 200
     assert quality.angle == pytest.approx(10.6, abs=0.5) and quality.turn == 0
     assert quality.overlap == pytest.approx(0.5, abs=0.01) and quality.apart == 0
     assert quality.confirmed == pytest.approx(4 / 6, abs=0.01)  # half at the ends, all between
     assert quality.verdict().level == "good"
     depths[[0, 5]] = FAR / 3  # so near that they project outside of all other views
-    quality = quality_of(two_rows(), depths)
+    quality = measure_quality(two_rows(), depths)
     assert quality.overlap == pytest.approx(0.5, abs=0.01) and quality.apart == 2
     assert quality.verdict().level != "good"
 

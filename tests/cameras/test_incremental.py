@@ -42,7 +42,7 @@ def walk(views: int, points: int = 300):
             t = R[b] @ (C[a] - C[b]) + rng.normal(0, 0.02, 3)
             focals = 600 * np.exp(rng.normal(0, 0.05, 2))
             relative = TwoViews(turn, t, focals, np.zeros(0))
-            ties.append(Tie((a, b), (i, j), keypoints[b][j], relative, 8.0, 0.9))
+            ties.append(Tie((a, b), (i, j), relative, 8.0, 0.9))
     return keypoints, R, C, ties
 
 

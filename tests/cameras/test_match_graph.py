@@ -71,5 +71,5 @@ def test_graph_of_some_views_keeps_their_matches_in_the_new_order():
     swapped = graph.select([2, 1])
     assert list(swapped.matches) == [(0, 1)] and swapped.keypoints[0][0, 0] == 2
     np.testing.assert_array_equal(swapped.matches[0, 1], indices[::-1])
-    assert graph.is_connected and swapped.is_connected
-    assert not graph.select([0, 2]).is_connected
+    assert graph.connects_all and swapped.connects_all
+    assert not graph.select([0, 2]).connects_all

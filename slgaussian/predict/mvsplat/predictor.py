@@ -17,7 +17,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
 from slgaussian.predict.configs import MVSplatConfig
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
-from slgaussian.predict.mvsplat.adapter import gaussians_of
+from slgaussian.predict.mvsplat.adapter import make_gaussians
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.predict.view_graph import link_views
@@ -95,7 +95,7 @@ class MVSplat(MVSplatConfig):
             with torch.autocast(device.type, torch.bfloat16, enabled=half):
                 output = self._network(images, cameras, NEAR, far * (NEAR / near))
             of_views = zip(output.disparity, output.raw, cameras, strict=True)
-            parts = [gaussians_of(*of_view) for of_view in of_views]
+            parts = [make_gaussians(*of_view) for of_view in of_views]
             fields: Any = {
                 name: torch.cat([part[name] for part in parts]).cpu() for name in parts[0]
             }
