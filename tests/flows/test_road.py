@@ -1,5 +1,6 @@
 """Every command refuses, labels and hides the same photographs alike (:mod:`slgaussian.build`)."""
 
+import ast
 import json
 import re
 from dataclasses import replace
@@ -27,6 +28,9 @@ NAMES = [f"{number}.png" for number in range(5)]
 MIDDLE = "2.png"  # which `benchmark` holds out, and `run` here too
 FROM_SCENES = ("ingest", "supervise", "dataset", "retrain")
 ROAD = ("field", "masks", "run", "benchmark", *FROM_SCENES)
+ROOT = Path(__file__).parents[2]
+INNER = ("cameras.check", "masks.associate", "masks.levels", "predict.view_graph")
+"""Modules of the steps that only :mod:`slgaussian.build` may put together."""
 
 
 def make_views(seed: int) -> dict[str, View]:
@@ -74,6 +78,15 @@ def folders(tmp_path_factory) -> dict[str, Path]:
         "hidden": {name: replace(view, opaque=OPAQUE) for name, view in views.items()},
     }
     return {kind: write_photographs(place / kind, photos) for kind, photos in kinds.items()}
+
+
+def test_commands_and_stages_import_no_step_that_the_road_puts_together():
+    for file in (path for room in ("flows", "tasks") for path in (ROOT / room).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            modules = [alias.name for alias in getattr(node, "names", ())]
+            modules += [getattr(node, "module", None) or ""]
+            inner = [name for name in modules if name.removeprefix("slgaussian.") in INNER]
+            assert not inner, f"{file}: takes {inner} past slgaussian.build"
 
 
 REFUSALS = {
