@@ -555,15 +555,14 @@ class Scene:
             replace(view, camera=view.camera.with_range(near, far))
             for view in self._read_views(names, sizes)
         ]
-        context_views, targets_views = tuple(views[: len(context)]), tuple(views[len(context) :])
-        graph, stored = None, list(self.cameras)
+        n, graph = len(context), None
         if self.matches is not None:
-            places = [stored.index(name) for name in names[: len(context)]]
-            graph = self.matches.select(places).crop(context_views)
-            # Photographs that are no context may have been the only ones between two that are.
-            graph = graph if graph.connects_all else None
+            stored = list(self.cameras)
+            graph = self.matches.select([stored.index(name) for name in names[:n]]).crop(views[:n])
+            if not graph.connects_all:  # by photographs that are no context
+                graph = None
         origin = self.phrases, self.estimation, graph
-        return Sample(self.name, context_views, targets_views, *origin)
+        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), *origin)
 
     def views(self, names: Sequence[str], size: Size = "auto") -> list[View]:
         """Read the named views and resize them, as :meth:`sample` does.

@@ -279,7 +279,12 @@ class _Problem:
         )
 
     def take_step(self, bundle: Bundle, normal: _Normal, damping: float) -> Bundle:
-        """Return the bundle after the damped step of the cameras and of the points."""
+        """Return the bundle after the damped step of the cameras and of the points.
+
+        The normal equations [A W'; W B] [c; p] = [a; b] are solved for the cameras c by the Schur
+        complement, (A - W' B^-1 W) c = a - W' B^-1 b, and then for the points, p = B^-1 (b - W c),
+        where B has a block of 3 x 3 for each point.
+        """
         S, side, inverse = self.eliminate_points(normal, damping)
         S += normal.prior
         np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras + normal.prior)
@@ -304,8 +309,8 @@ class _Problem:
     def eliminate_points(
         self, normal: _Normal, damping: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the cameras' Schur complement [P, P] and right side [P], and inverse blocks of
-        points."""
+        """Return S = A - W' B^-1 W [P, P] and a - W' B^-1 b [P] of :meth:`take_step`, with damped
+        B, and the blocks of B^-1 [N, 3, 3]."""
         diagonal = np.einsum("nii->ni", normal.points)
         damped = normal.points.copy()
         floor = 1e-14 * diagonal.sum(1, keepdims=True) + 1e-300
@@ -343,8 +348,10 @@ class _Problem:
     def covariance(self, state: _State, normal: _Normal) -> np.ndarray:
         """Compute the covariance [P, P] of the cameras, with the noise level of the residuals.
 
-        The covariance is that of an M-estimator (Huber 1981, ch. 7.6). Points and cameras reduce
-        the degrees of freedom of the residuals.
+        The covariance is that of an M-estimator (Huber 1981, ch. 7.6): for weights w of residuals
+        r, the inverse of S times mean(w) sum(w^2 r^2) / (left slope^2), where ``slope`` is the mean
+        derivative of the weighted residual. Points and cameras reduce the degrees of freedom
+        ``left`` of the residuals.
         """
         S, _, _ = self.eliminate_points(normal, 0.0)
         free = self.free(state.bundle)
