@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benches.cameras.pose_metrics import direction_error, rotation_error
 from slgaussian import datasets
 from slgaussian.cameras.estimated import UNUSED, EstimatedCameras
 from slgaussian.cameras.find import find_cameras, find_multi_view, worth_solving
@@ -39,11 +40,9 @@ def angular_error(cameras, true) -> float:
     worst = 0.0
     for j, i in combinations(range(len(true)), 2):
         actual, expected = cameras[i].w2c @ cameras[j].c2w, true[i] @ np.linalg.inv(true[j])
-        rotation = Rotation.from_matrix(actual[:3, :3] @ expected[:3, :3].T).magnitude()
-        a, b = actual[:3, 3], expected[:3, 3]
-        direction = np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
-        worst = max(worst, rotation, direction)
-    return float(np.degrees(worst))
+        turned = rotation_error(actual[:3, :3], expected[:3, :3])
+        worst = max(worst, turned, direction_error(actual[:3, 3], expected[:3, 3]))
+    return worst
 
 
 def test_three_views_are_placed_in_the_frame_of_the_first(photographs, estimated):
