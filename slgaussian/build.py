@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from slgaussian.cameras.check import PairCheck, check_pairs, refuse
+from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.method import Method
 from slgaussian.copies import are_copies
@@ -142,19 +143,19 @@ def select_usable(sample: Sample) -> tuple[Sample, dict[str, str]]:
             views.append(view)
     if left_out:
         sample = replace(sample, context=tuple(views), matches=None)
-    sample = replace(sample, matches=sample.match())
+    sample = replace(sample, matches=match_views(sample))
     if len(views) == 2:
         return sample, left_out
     # In the coordinates of the predictor, which reads the same verified matches.
-    verified = verify(sample.localize()[0].context, sample.match())
+    verified = verify(sample.localize()[0].context, match_views(sample))
     matched = {i for pair in verified[0] for i in pair}
     if max(3, len(views) / 2) <= len(matched) < len(views):
         reason = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
         left_out |= {view.name: reason for i, view in enumerate(views) if i not in matched}
         # Matched again, as the neighbours of a view are different ones now.
         few = replace(sample, context=tuple(views[i] for i in sorted(matched)), matches=None)
-        return replace(few, matches=few.match()), left_out
-    return replace(sample, matches=replace(sample.match(), verified=verified)), left_out
+        return replace(few, matches=match_views(few)), left_out
+    return replace(sample, matches=replace(match_views(sample), verified=verified)), left_out
 
 
 def _same(a: View, b: View) -> bool:
@@ -216,7 +217,7 @@ def predict(
     Raises:
         InputError: As :func:`check_cameras` and as the predictor, and if a Gaussian is invalid.
     """
-    sample = replace(sample, matches=sample.match())
+    sample = replace(sample, matches=match_views(sample))
     checks, depths = check_cameras(sample, trust_cameras), None
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()

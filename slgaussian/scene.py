@@ -389,12 +389,6 @@ class Sample:
         """
         return content_of(*(view.image for view in self.context))
 
-    def match(self) -> MatchGraph:
-        """Return the matches of the context views, computed if they are not known."""
-        from slgaussian.cameras.match_graph import MatchGraph  # it imports this module
-
-        return self.matches or MatchGraph.of(self.context)
-
     def resized(self, height: int, width: int) -> Sample:
         """Scale and centre-crop all views to one size."""
         return replace(

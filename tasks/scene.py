@@ -12,7 +12,7 @@ from slgaussian.benchmark.annotations import Truth, label_files, read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.build import build_memory_bank, label_views, lift_field, predict, select_usable
 from slgaussian.cameras.estimated import describe_cameras
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.match_graph import MatchGraph, match_views
 from slgaussian.cameras.quality import Quality
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
@@ -49,7 +49,7 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     sample, useless = select_usable(photographs.read())
     if photographs.look() != photographs.inputs:
         raise InputError(f"{photographs.path}: {CHANGED_FILE}")
-    matches = run.store.put("matches", sample.match().to_arrays())
+    matches = run.store.put("matches", match_views(sample).to_arrays())
     meta = {
         "cameras": describe_cameras(v.camera for v in (*sample.context, *sample.targets)),
         "left_out": {**sample.estimation.get("left_out", {}), **useless},
@@ -103,7 +103,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     return run.store.put("truth", truth_to_arrays(scene_truth, views))
 
 
-@stage("geometry", version=17)
+@stage("geometry", version=18)
 def geometry(
     run: RunContext,
     sample: ArtifactRef,

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Sample, View
@@ -111,7 +112,7 @@ def check_pairs(sample: Sample) -> list[PairCheck]:
     nothing in common, and their matches are wrong. A pair without enough agreement is used only to
     connect a view that has no other edge in the tree so far.
     """
-    views, graph = sample.context, sample.match()
+    views, graph = sample.context, match_views(sample)
     checks = {(i, j): check_pair(views[i], views[j], *graph.points(i, j)) for i, j in graph.matches}
     piece = {view: {view} for pair in checks for view in pair}
     selected = []

@@ -12,7 +12,7 @@ import numpy as np
 
 from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.io import short_repr
-from slgaussian.scene import ROUNDING, View
+from slgaussian.scene import ROUNDING, Sample, View
 
 NEIGHBOURS = 6
 """Number of nearest views, by camera distance, with which each view is matched."""
@@ -116,6 +116,11 @@ class MatchGraph:
         return MatchGraph(
             keypoints, {pair: (indices[:, 0], indices[:, 1]) for pair, indices in split}
         )
+
+
+def match_views(sample: Sample) -> MatchGraph:
+    """Return the matches of the context views of a sample, computed if they are not known."""
+    return sample.matches or MatchGraph.of(sample.context)
 
 
 def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int, int]]:

@@ -24,7 +24,7 @@ class GaussianPredictor(Protocol):
         """Predict Gaussians in the world frame of the sample; targets must not be read.
 
         Random numbers depend on ``seed`` and the content of the context views. A predictor that
-        needs matches takes those of :meth:`slgaussian.scene.Sample.match`.
+        needs matches takes those of :func:`slgaussian.cameras.match_graph.match_views`.
         """
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.check import COARSE_DISTANCE, agree
+from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.relative import Relative
 from slgaussian.checks import companion
 from slgaussian.errors import InputError
@@ -96,7 +97,7 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
     def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Predict Gaussians in the world frame of ``sample``; the result ignores ``seed``."""
         assert self.geometry is not None  # checked by __init__
-        sample, frame = replace(sample, matches=sample.match()).localize()
+        sample, frame = replace(sample, matches=match_views(sample)).localize()
         maps, matches = find_maps(self.geometry, sample), agreeing(sample)
         depths, confidences = _read(self.geometry, sample.context, maps, matches)
         linked = link_views(sample, ranged=True)
@@ -150,7 +151,7 @@ def _find_map(folder: Path, view: View) -> DepthMap:
 
 def agreeing(sample: Sample) -> Matches:
     """Return the matches of each pair that fit a fundamental matrix, independent of the cameras."""
-    graph = sample.match()
+    graph = match_views(sample)
     bound = COARSE_DISTANCE * float(np.hypot(*sample.context[0].grey.shape))
     matches_of_pair = {}
     for pair in graph.matches:

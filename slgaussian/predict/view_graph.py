@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slgaussian.cameras.match_graph import MatchGraph, Verified, neighbours
+from slgaussian.cameras.match_graph import MatchGraph, Verified, match_views, neighbours
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError, listed
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
@@ -98,7 +98,7 @@ def link_views(sample: Sample, ranged: bool) -> ViewGraph:
     Raises:
         InputError: If a view has no link.
     """
-    views, graph = sample.context, sample.match()
+    views, graph = sample.context, match_views(sample)
     matches, rejected = graph.verified or verify(views, graph)
     points = graph.keypoints
     cameras = [view.camera for view in views]

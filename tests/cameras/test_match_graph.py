@@ -11,7 +11,7 @@ from slgaussian.build import select_usable
 from slgaussian.cameras import match_graph, matches
 from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.match_graph import MatchGraph, match_views
 from slgaussian.scene import Scene, View
 from slgaussian.storage.store import ArtifactStore
 from tests.matching import sift_matches
@@ -52,7 +52,7 @@ def test_matches_of_found_cameras_fit_resized_and_cropped_views(found, size):
     assert check.matches > 0.8 * anew.matches and check.judged and not check.refuted
     assert check.precise > 0.95 and check.coarse > 0.9
     height, width = sample.context[0].image.shape[:2]
-    for points in sample.match().points(0, 1):
+    for points in match_views(sample).points(0, 1):
         assert (points > 0).all() and (points < (width, height)).all()
 
 
