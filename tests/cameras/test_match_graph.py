@@ -36,7 +36,7 @@ def test_graph_equals_plain_matching_and_survives_a_round_trip(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def found() -> Scene:
+def found_scene() -> Scene:
     """Return a scene of two photographs of 480x360 pixels whose cameras were found."""
     result = find_cameras(room_pair())
     images = {photograph.name: photograph.image for photograph in room_pair()}
@@ -45,8 +45,8 @@ def found() -> Scene:
 
 
 @pytest.mark.parametrize("size", ["original", (180, 240), (180, 200), (200, 240)])
-def test_matches_of_found_cameras_fit_resized_and_cropped_views(found, size):
-    sample = found.sample(list(found.cameras), size=size)
+def test_matches_of_found_cameras_fit_resized_and_cropped_views(found_scene, size):
+    sample = found_scene.sample(list(found_scene.cameras), size=size)
     (check,) = check_pairs(sample)
     anew = check_pairs(replace(sample, matches=None))[0]
     assert check.matches > 0.8 * anew.matches and check.judged and not check.refuted
@@ -56,10 +56,12 @@ def test_matches_of_found_cameras_fit_resized_and_cropped_views(found, size):
         assert (points > 0).all() and (points < (width, height)).all()
 
 
-def test_matches_of_found_cameras_are_made_once(found, monkeypatch):
+def test_matches_of_found_cameras_are_made_once(found_scene, monkeypatch):
     for module in (match_graph, matches):
         monkeypatch.setattr(module, "sift", lambda grey: pytest.fail("features are found again"))
-    sample, left_out = select_usable(found.sample(list(found.cameras)[::-1], size=(180, 240)))
+    sample, left_out = select_usable(
+        found_scene.sample(list(found_scene.cameras)[::-1], size=(180, 240))
+    )
     assert not left_out and sample.context[0].name == "b.jpg"
     assert not check_pairs(sample)[0].refuted
 

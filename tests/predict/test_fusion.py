@@ -73,7 +73,7 @@ def select(cameras, inverse, valid):
     return select_pixels(graph, inverse, valid, [0.001] * len(cameras))
 
 
-def select_confirmed(cameras, depths, guessed=None):
+def select_from_depths(cameras, depths, guessed=None):
     """Select the drawn pixels if all depths are confirmed except those of the view ``guessed``."""
     inverse = [1 / depth.astype(np.float32) for depth in depths]
     valid = [np.full_like(w, np.inf) if i == guessed else w for i, w in enumerate(inverse)]
@@ -83,7 +83,7 @@ def select_confirmed(cameras, depths, guessed=None):
 def test_a_surface_is_drawn_by_two_views_at_most_and_what_is_new_by_all():
     cameras = [camera(x=x) for x in (0, 0.2, 0.4, 0.6)]
     depths = [view.depth for view in sample(*cameras).context]
-    keep = select_confirmed(cameras, depths)
+    keep = select_from_depths(cameras, depths)
     assert keep[0].all() and keep[1].all()
     # The first two saw all of it but what lies beyond their borders, on the right.
     W = keep[2].shape[1]
@@ -96,7 +96,7 @@ def test_nothing_is_drawn_where_a_view_before_sees_through():
     cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
     depths = [view.depth.copy() for view in sample(*cameras).context]
     depths[2][40:60, 40:60] *= 0.5
-    keep = select_confirmed(cameras, depths)
+    keep = select_from_depths(cameras, depths)
     assert not keep[2][41:59, 41:59].any()
 
 
@@ -104,13 +104,13 @@ def test_a_guess_is_not_drawn_where_a_view_after_sees_through_but_does_not_refut
     cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
     depths = [view.depth.copy() for view in sample(*cameras).context]
     depths[0][40:60, 60:80] *= 0.5
-    keep = select_confirmed(cameras, depths, guessed=0)
+    keep = select_from_depths(cameras, depths, guessed=0)
     assert not keep[0][41:59, 61:79].any()
     # Known, it stays: the views before decide about what is matched.
-    assert select_confirmed(cameras, depths)[0].all()
+    assert select_from_depths(cameras, depths)[0].all()
     # Depth that the first view only guesses takes nothing from the others.
     depths[0][:] *= 4
-    assert select_confirmed(cameras, depths, guessed=0)[2].mean() > 0.9
+    assert select_from_depths(cameras, depths, guessed=0)[2].mean() > 0.9
 
 
 def test_a_guess_is_not_drawn_in_front_of_what_a_view_before_draws():
