@@ -179,7 +179,8 @@ def make_clip(
 
     def read(name: str) -> View:
         view = scene.read(name)
-        shrunk[name] = view.resized(*fit_size(*view.image.shape[:2], "auto"))
+        height, width = view.image.shape[:2]
+        shrunk[name] = view.resized(*fit_size(height, width, "auto"))
         return view
 
     errors: list[InputError] = []

@@ -218,7 +218,7 @@ def _refined_keypoints(
 ) -> list[np.ndarray]:
     """Return the keypoints of each image, pixels; inliers of poses where they were refined to."""
     keypoints = [item.features.points.copy() for item in described]
-    for (_, second), pose in reversed(poses.items()):
+    for (_, second), pose in reversed(list(poses.items())):
         keypoints[second][pose.j] = pose.y + pose.second.middle
     return keypoints
 
