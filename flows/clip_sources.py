@@ -19,10 +19,11 @@ from flows.runners.task_runners import Workers
 from flows.scenes import folder_of, seeds
 from slgaussian.datasets import colmap, re10k
 from slgaussian.datasets.configs import Bounds
+from slgaussian.datasets.sources import PosedFolder, Room
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.storage.store import ArtifactRef
-from tasks.chunks import PosedFolder, Room, known_chunk, packed, pairs, views
+from tasks.chunks import known_chunk, packed, pairs, views
 from tasks.context import current_run
 
 ROOMS_PREFIX = "procedural:"

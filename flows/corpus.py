@@ -19,13 +19,15 @@ from flows.runners.session import check_folder, check_refresh, final, run_sessio
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
+from slgaussian.datasets.clip_views import Framing
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.pair_selection import TARGETS
+from slgaussian.datasets.sources import PosedFolder, Room
 from slgaussian.io import atomic_path
 from slgaussian.storage.provenance import with_provenance
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
-from tasks.chunks import Framing, PosedFolder, Room, packed, packed_clips
+from tasks.chunks import packed, packed_clips
 from tasks.samples import lessons, predictions
 
 INGEST = ("views", "pairs")

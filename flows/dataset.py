@@ -23,6 +23,7 @@ from flows.runners.progress import Progress
 from flows.runners.session import check_refresh, final, run_session, writing
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
+from slgaussian.datasets.clip_views import Framing
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.data_card import UNKNOWN, describe_set
 from slgaussian.datasets.leaks import check_shards
@@ -38,7 +39,7 @@ from slgaussian.datasets.splits import TEST, Split, assign_split, read_split
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import KnownFile
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.chunks import Framing, known_chunk, packed, pairs, views
+from tasks.chunks import known_chunk, packed, pairs, views
 from tasks.example import example
 from tasks.samples import all_masks, framed
 from tasks.scene import geometry, supervision

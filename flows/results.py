@@ -18,6 +18,7 @@ from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.datasets.labelled_sets import is_published
+from slgaussian.datasets.sources import hash_files
 from slgaussian.errors import InputError, SpecError
 from slgaussian.kernels import threads
 from slgaussian.storage import field_folder, run_file
@@ -26,7 +27,6 @@ from slgaussian.storage.provenance import commit, software
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import CONCURRENT_READS, ArtifactRef, ArtifactStore
 from tasks.artifacts import about_field
-from tasks.scene import digests_of
 from tasks.stage import Stage
 
 FIELDS = "fields"
@@ -196,7 +196,7 @@ def check_inputs(
     for name in (name for name in recorded.scenes if name in tasks):
         photographs, labels, *_ = tasks[name]
         folder = labels.folder or Path()
-        files = digests_of((folder / file for file in recorded.scenes[name].labels), folder)
+        files = hash_files((folder / file for file in recorded.scenes[name].labels), folder)
         present[name] = run_file.SceneInputs.from_settings(photographs.inputs, files)
     now = run_file.Inputs(software=run_file.software(), weights=_weights(settings), scenes=present)
     return recorded.check(now, source)

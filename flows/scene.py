@@ -16,12 +16,13 @@ from flows.runners.batches import SceneTask
 from slgaussian.benchmark.baselines import ROWS, Row
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.components.method import Method
+from slgaussian.datasets.sources import Photographs
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.benchmark import attribution, baselines, benchmark
-from tasks.scene import Labels, Photographs, field, geometry, ingest, masks, supervision, truth
+from tasks.scene import Labels, field, geometry, ingest, masks, supervision, truth
 
 STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
 """The stages of :func:`score_scene`, in order."""

@@ -1,34 +1,45 @@
-"""The whole method, from context views to a field, as separate steps."""
+"""The road from context views to a field: its steps, their order, and what each may skip.
+
+Every command and every stage goes through these functions: views that are of no use are left out
+(:func:`select_usable`), cameras that the matches contradict refused and what is transparent gives
+no Gaussian (:func:`predict`) and no label (:func:`label_views`).
+"""
 
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from slgaussian.cameras.check import PairCheck, check_pairs, refuse
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.quality import Quality, measure
-from slgaussian.components.config import ComponentConfig
 from slgaussian.components.method import Method
-from slgaussian.errors import check_type
+from slgaussian.copies import are_copies
+from slgaussian.datasets.re10k import Clip, clip_of
+from slgaussian.errors import InputError, check_type
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
+from slgaussian.language import CodeStrategy, Encoder
 from slgaussian.language.bank import MemoryBank, build_bank
+from slgaussian.masks import MaskProposer, MaskTracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.predict import CountingPredictor, Depths, GaussianPredictor
-from slgaussian.predict.view_graph import select_usable
+from slgaussian.predict.depth_hypotheses import MIN_MATCHES
+from slgaussian.predict.view_graph import verify
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import Change, merge
-from slgaussian.scene import Camera, Sample, opaque_pixels
+from slgaussian.scene import Camera, Sample, Scene, View, fit_size, opaque_pixels
+from slgaussian.semantic import Lifting
+from slgaussian.semantic.lesson import Lesson
 
 
 class Predicted(NamedTuple):
@@ -55,7 +66,7 @@ def build_field(
     """Build a queryable semantic field from the context views of a sample (paper, figure 2).
 
     Views that show another place, or repeat another view, are excluded with a warning
-    (:func:`slgaussian.predict.view_graph.select_usable`).
+    (:func:`select_usable`).
 
     Args:
         sample: Its targets and ground truth are not used.
@@ -76,13 +87,15 @@ def build_field(
     check_type(sample, Sample, "build_field: expected a Sample, as slg.photographs returns it")
     method = method or Method()
     check_type(method, Method, "build_field: expected a Method, such as slg.Method(encoder='clip')")
+    # Loaded before the work, so that what is invalid costs none.
+    encoder, codes, lifting = (c.load() for c in (method.encoder, method.codes, method.lifting))
     sample, predicted, label_maps = label_photographs(sample, method, trust_cameras, took)
     gaussians, geometry, quality, depths = predicted
-    with _timed("supervision", took):
-        components = method.encoder, method.codes, method.seed, method.bank
-        bank = build_memory_bank(sample, geometry, label_maps, *components)
-    with _timed("field", took):
-        return lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
+    with _time_step("supervision", took):
+        drawing = codes, method.seed, method.bank
+        bank = build_memory_bank(sample, geometry, label_maps, encoder, *drawing)
+    with _time_step("field", took):
+        return lift_field(sample, gaussians, label_maps, bank, lifting, method, quality, depths)
 
 
 def label_photographs(
@@ -96,55 +109,125 @@ def label_photographs(
     Raises:
         InputError: As :func:`build_field`.
     """
-    method.check()
-    sample, graph, left_out = select_usable(sample)
+    predictor, proposer, tracker = (
+        component.load() for component in (method.predictor, method.proposer, method.tracker)
+    )
+    sample, left_out = select_usable(sample)
     for name, reason in left_out.items():
         warnings.warn(f"{name} is left out: {reason}", stacklevel=3)
-    with _timed("geometry", took):
-        predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras)
-    with _timed("masks", took):
-        masking = method.proposer, method.tracker, method.replicas, method.votes
-        label_maps = label_views(predicted.geometry, *masking)
+    with _time_step("geometry", took):
+        predicted = predict(sample, predictor, method.seed, trust_cameras)
+    with _time_step("masks", took):
+        votes = method.replicas, method.votes
+        label_maps = label_views(predicted.geometry, proposer, tracker, *votes)
     return sample, predicted, label_maps
 
 
-def check_cameras(
-    sample: Sample, graph: MatchGraph, trust_cameras: bool = False
-) -> list[PairCheck]:
+def select_usable(sample: Sample) -> tuple[Sample, dict[str, str]]:
+    """Match context views, and drop those that are duplicates or that match no other view.
+
+    A duplicate has the picture and camera of an earlier view, and would count as independent
+    evidence. Views without matches remain if there are only two, or if more than half would go.
+
+    Returns:
+        sample: Sample. The remaining context views, with their matches.
+        left_out: {view name: reason}
+    """
+    views: list[View] = []
+    left_out = {}
+    for view in sample.context:
+        same = [earlier.name for earlier in views if _same(earlier, view)]
+        if same:
+            left_out[view.name] = f"it is the same picture as {same[0]}, from the same place"
+        else:
+            views.append(view)
+    if left_out:
+        sample = replace(sample, context=tuple(views), matches=None)
+    sample = replace(sample, matches=match_views(sample))
+    if len(views) == 2:
+        return sample, left_out
+    # In the coordinates of the predictor, which reads the same verified matches.
+    verified = verify(sample.localize()[0].context, match_views(sample))
+    matched = {i for pair in verified[0] for i in pair}
+    if max(3, len(views) / 2) <= len(matched) < len(views):
+        reason = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
+        left_out |= {view.name: reason for i, view in enumerate(views) if i not in matched}
+        # Matched again, as the neighbours of a view are different ones now.
+        few = replace(sample, context=tuple(views[i] for i in sorted(matched)), matches=None)
+        return replace(few, matches=match_views(few)), left_out
+    return replace(sample, matches=replace(match_views(sample), verified=verified)), left_out
+
+
+def _same(a: View, b: View) -> bool:
+    same_camera = np.allclose(a.camera.c2w, b.camera.c2w) and np.allclose(a.camera.K, b.camera.K)
+    return bool(
+        same_camera and (np.array_equal(a.image, b.image) or are_copies(a.thumbnail, b.thumbnail))
+    )
+
+
+def make_clip(
+    scene: Scene, checked: bool = True, trust_cameras: bool = False
+) -> tuple[Clip, list[InputError]]:
+    """Encode the usable photographs of a scene as a clip; return why others are left out, too.
+
+    Given cameras are checked as those of a field, unless they are exact (``checked`` is false).
+
+    Raises:
+        InputError: As :func:`check_cameras`, and if no photograph can be read.
+    """
+    shrunk: dict[str, View] = {}
+
+    def read(name: str) -> View:
+        view = scene.read(name)
+        height, width = view.image.shape[:2]
+        shrunk[name] = view.resized(*fit_size(height, width, "auto"))
+        return view
+
+    errors: list[InputError] = []
+    clip = clip_of(replace(scene, read=read), errors.append)
+    unused = dict(scene.left_out)
+    if checked and not scene.estimation and len(shrunk) > 1:
+        sample = replace(scene, read=shrunk.__getitem__).sample(list(shrunk))
+        sample, useless = select_usable(sample)
+        check_cameras(sample, trust_cameras)
+        if useless:
+            cameras = {view.name: scene.cameras[view.name] for view in sample.context}
+            clip, unused = clip_of(replace(scene, cameras=cameras)), {**unused, **useless}
+    return clip, errors + [InputError(f"{name}: {reason}") for name, reason in unused.items()]
+
+
+def check_cameras(sample: Sample, trust_cameras: bool = False) -> list[PairCheck]:
     """Check the cameras of context views by their matches.
 
     Raises:
         InputError: As :func:`slgaussian.cameras.check.refuse`, unless ``trust_cameras``.
     """
-    checks = check_pairs(sample.context, graph)
+    checks = check_pairs(sample)
     if not trust_cameras:
         refuse(sample.scene, checks, any(view.camera.estimated for view in sample.context))
     return checks
 
 
 def predict(
-    sample: Sample,
-    graph: MatchGraph,
-    predictor: ComponentConfig | GaussianPredictor,
-    seed: int,
-    trust_cameras: bool = False,
+    sample: Sample, predictor: GaussianPredictor, seed: int, trust_cameras: bool = False
 ) -> Predicted:
     """Predict Gaussians from context views and their matches (paper, section 3.1).
 
-    Transparent pixels give none. ``predictor`` is loaded first if it is a component.
+    Transparent pixels give none.
 
     Raises:
-        InputError: As :func:`check_cameras` and as the predictor.
+        InputError: As :func:`check_cameras` and as the predictor, and if a Gaussian is invalid.
     """
-    checks = check_cameras(sample, graph, trust_cameras)
-    loaded, depths = predictor.load() if isinstance(predictor, ComponentConfig) else predictor, None
+    sample = replace(sample, matches=match_views(sample))
+    checks, depths = check_cameras(sample, trust_cameras), None
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()
-    if isinstance(loaded, CountingPredictor):
-        gaussians, depths = loaded.counted(local, seed, graph)
+    if isinstance(predictor, CountingPredictor):
+        gaussians, depths = predictor.predict_with_counts(local, seed)
     else:
-        gaussians = loaded(local, seed, graph)
+        gaussians = predictor(local, seed)
     gaussians = gaussians.place(frame)
+    gaussians.check()
     opaque = opaque_pixels(sample.context)
     if opaque is not None:
         gaussians = gaussians[opaque.ravel()[gaussians.to_arrays()["source"]]]
@@ -172,8 +255,8 @@ def see_targets(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
 
 def label_views(
     geometry: SceneGeometry,
-    proposer: ComponentConfig,
-    tracker: ComponentConfig,
+    proposer: MaskProposer,
+    tracker: MaskTracker,
     replicas: int,
     votes: str = "views",
     targets: Sequence[SeenView] = (),
@@ -184,7 +267,7 @@ def label_views(
     as others have no code. Transparent pixels have no object.
     """
     frames = [*geometry.frames, *targets]
-    maps = associate(frames, proposer.load(), tracker.load(), replicas, votes)
+    maps = associate(frames, proposer, tracker, replicas, votes)
     labels, opaque = maps.labels, opaque_pixels([frame.view for frame in frames])
     if opaque is not None:
         labels = np.where(opaque, labels, 0)
@@ -194,12 +277,28 @@ def label_views(
     return replace(maps, labels=labels)
 
 
+def make_lesson(
+    sample: Sample,
+    gaussians: Gaussians,
+    proposer: MaskProposer,
+    tracker: MaskTracker,
+    replicas: int,
+    votes: str = "views",
+) -> Lesson:
+    """Label the context and target views of a sample for the training of the branch."""
+    geometry, targets = SceneGeometry.of(sample.context, gaussians), see_targets(sample, gaussians)
+    label_maps = label_views(geometry, proposer, tracker, replicas, votes, targets)
+    context, others = (maps.labels for maps in label_maps.split(len(sample.context)))
+    cameras, opaque = tuple(v.camera for v in sample.targets), opaque_pixels(sample.targets)
+    return Lesson(sample.scene, gaussians, context, cameras, others, opaque)
+
+
 def build_memory_bank(
     sample: Sample,
     geometry: SceneGeometry,
     label_maps: LabelMaps,
-    encoder: ComponentConfig,
-    codes: ComponentConfig,
+    encoder: Encoder,
+    codes: CodeStrategy,
     seed: int,
     entries: str = "groups",
 ) -> MemoryBank:
@@ -208,11 +307,11 @@ def build_memory_bank(
     Groups of objects (:func:`slgaussian.masks.levels.group_objects`) are encoded too, unless
     ``entries`` is ``objects`` (:class:`slgaussian.components.method.BuildConfig`).
     """
-    drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
+    drawn = codes(label_maps, rng_for(seed, sample.content, "codes"))
     grouped = entries == "groups" and len(label_maps.ids) > 0
     groups = group_objects(geometry.frames, label_maps) if grouped else (None, None)
     surroundings = geometry.surroundings
-    return build_bank(sample.context, label_maps, encoder.load(), drawn, surroundings, *groups)
+    return build_bank(sample.context, label_maps, encoder, drawn, surroundings, *groups)
 
 
 def lift_field(
@@ -220,6 +319,7 @@ def lift_field(
     gaussians: Gaussians,
     label_maps: LabelMaps,
     bank: MemoryBank,
+    lifting: Lifting,
     method: Method,
     quality: Quality,
     depths: Depths | None = None,
@@ -230,7 +330,7 @@ def lift_field(
     its Gaussians are merged: code that needs one Gaussian per pixel must use the unmerged input.
     """
     cameras = {view.name: _with_confidence(view.camera, quality) for view in sample.context}
-    lifted = method.lifting.load()(gaussians, label_maps, bank)
+    lifted = lifting(gaussians, label_maps, bank)
     change = Change()
     if method.keep == "needed":
         merged = merge(lifted, list(cameras.values()))
@@ -252,9 +352,16 @@ def lift_field(
         "depths_possible": None if depths is None else depths.possible,
     }
     if sample.estimation:
-        confidence = round(quality.camera_confidence(sample.estimation["confidence"]), 3)
-        settings["cameras"] = {**sample.estimation, "confidence": confidence}
+        settings["cameras"] = record_estimation(sample, quality)
     return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
+
+
+def record_estimation(sample: Sample, quality: Quality) -> dict[str, Any]:
+    """Return how the cameras were estimated, with their confidence by the scene; empty if given."""
+    if not sample.estimation:
+        return {}
+    confidence = round(quality.camera_confidence(sample.estimation["confidence"]), 3)
+    return {**sample.estimation, "confidence": confidence}
 
 
 def _with_confidence(camera: Camera, quality: Quality) -> Camera:
@@ -266,7 +373,7 @@ def _with_confidence(camera: Camera, quality: Quality) -> Camera:
 
 
 @contextmanager
-def _timed(step: str, took: Callable[[str, float], None]) -> Iterator[None]:
+def _time_step(step: str, took: Callable[[str, float], None]) -> Iterator[None]:
     start = time.perf_counter()
     yield
     took(step, time.perf_counter() - start)

@@ -13,9 +13,9 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -27,6 +27,9 @@ from slgaussian.formats.images import MAX_PIXELS
 from slgaussian.formats.resampling import Fit, Window
 from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
+
+if TYPE_CHECKING:  # it imports this module
+    from slgaussian.cameras.match_graph import MatchGraph
 
 ROTATION_TOLERANCE = 1e-3
 """Largest allowed entry of ``R.T @ R - I``: accepts poses printed with four digits, not scaling."""
@@ -167,7 +170,7 @@ class Camera:
         near, far = (None if bound is None else bound / unit for bound in (self.near, self.far))
         return replace(self, c2w=c2w, near=near, far=far)
 
-    def ranged(self, near: float | None, far: float | None) -> Camera:
+    def with_range(self, near: float | None, far: float | None) -> Camera:
         """Return the camera with another depth range along z, scene units; None keeps a bound."""
         near, far = self.near if near is None else near, self.far if far is None else far
         return replace(self, near=near, far=far)
@@ -337,6 +340,7 @@ class Sample:
         phrases: mapping int -> str. Name of each ground-truth instance id, if known.
         estimation: Estimation of the cameras, from
             :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`; empty if they were given.
+        matches: Matches of the context views, if they are known.
 
     Raises:
         InputError: If context views differ in size, are one picture with two poses, or all share
@@ -348,6 +352,7 @@ class Sample:
     targets: tuple[View, ...] = ()
     phrases: Mapping[int, str] = field(default_factory=dict)
     estimation: Mapping[str, Any] = field(default_factory=dict)
+    matches: MatchGraph | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
@@ -372,6 +377,8 @@ class Sample:
                     f"--size {smallest[0]}x{smallest[1]}, or size={smallest} in Python"
                 )
         _check_views(self.scene, self.context)
+        if self.matches is not None and len(self.matches.keypoints) != len(self.context):
+            self.__dict__["matches"] = None  # they are of other views
 
     @cached_property
     def content(self) -> str:
@@ -388,7 +395,18 @@ class Sample:
             self,
             context=tuple(view.resized(height, width) for view in self.context),
             targets=tuple(view.resized(height, width) for view in self.targets),
+            matches=None,
         )
+
+    def check_held_out(self) -> None:
+        """Raise InputError if a target is a context view, or a copy of one by its content."""
+        for target, view in product(self.targets, self.context):
+            same = "is" if target.name == view.name else "is the same picture as"
+            if target.name == view.name or are_copies(target.thumbnail, view.thumbnail):
+                raise InputError(
+                    f"scene {self.scene!r}: the target {target.name!r} {same} the context view "
+                    f"{view.name!r}; a target must be held out"
+                )
 
     def localize(self) -> tuple[Sample, Frame]:
         """Return the sample in the coordinates in which Gaussians are predicted, and their frame.
@@ -419,6 +437,8 @@ class Scene:
         estimation: See :class:`Sample`.
         sources: callable str -> sequence of Path. Returns the files of a view and its camera, by
             view name; some may not exist.
+        matches: Matches of the photographs in the order of ``cameras``, pixels of the whole
+            photographs, if they are known.
     """
 
     name: str
@@ -427,14 +447,18 @@ class Scene:
     phrases: Mapping[int, str] = field(default_factory=dict)
     estimation: Mapping[str, Any] = field(default_factory=dict)
     sources: Callable[[str], Sequence[Path]] = lambda name: ()
+    matches: MatchGraph | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_names(self.name, self.cameras)
-        ordered = {name: self.cameras[name] for name in order_naturally(self.cameras)}
+        given, order = list(self.cameras), order_naturally(self.cameras)
+        ordered = {name: self.cameras[name] for name in order}
         self.__dict__["cameras"] = ordered
         check_cameras(ordered, lambda name: next(iter(self.sources(name)), f"scene {self.name!r}"))
+        if self.matches is not None and order != given:
+            self.__dict__["matches"] = self.matches.select([given.index(name) for name in order])
         for name, camera in ordered.items():
             fx, fy = camera.K[[0, 1], [0, 1]]
             if max(fx, fy) > MAX_STRETCH * min(fx, fy):
@@ -523,11 +547,17 @@ class Scene:
                 )
         sizes = [size] * len(context) + [judged or size] * len(targets)
         views = [
-            replace(view, camera=view.camera.ranged(near, far))
-            for view in self._resized(names, sizes)
+            replace(view, camera=view.camera.with_range(near, far))
+            for view in self._read_views(names, sizes)
         ]
-        n = len(context)
-        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.estimation)
+        n, graph = len(context), None
+        if self.matches is not None:
+            stored = list(self.cameras)
+            graph = self.matches.select([stored.index(name) for name in names[:n]]).crop(views[:n])
+            if not graph.connects_all:  # by photographs that are no context
+                graph = None
+        origin = self.phrases, self.estimation, graph
+        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), *origin)
 
     def views(self, names: Sequence[str], size: Size = "auto") -> list[View]:
         """Read the named views and resize them, as :meth:`sample` does.
@@ -535,9 +565,9 @@ class Scene:
         InputError if a view cannot be found or read.
         """
         names = [self.find(name) for name in names]
-        return list(self._resized(names, [size] * len(names)))
+        return list(self._read_views(names, [size] * len(names)))
 
-    def _resized(self, names: Sequence[str], sizes: Sequence[Size]) -> Iterator[View]:
+    def _read_views(self, names: Sequence[str], sizes: Sequence[Size]) -> Iterator[View]:
         """Read views one at a time, as photographs are large, and resize them."""
         photographs = (*self.cameras, *self.left_out)
         cameras = [self.cameras[name] for name in names]

@@ -99,7 +99,7 @@ def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
         available = name in arrays and arrays[name][index].any()
         return arrays[name][index] if available else None
 
-    def estimated(index: int) -> Estimated | None:
+    def read_estimate(index: int) -> Estimated | None:
         text = str(arrays["estimated"][index]) if "estimated" in arrays else ""
         return Estimated.of(json.loads(text)) if text else None
 
@@ -119,7 +119,7 @@ def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
                 height,
                 near=float(arrays["near_far"][i, 0]) or None,
                 far=float(arrays["near_far"][i, 1]) or None,
-                estimated=estimated(i),
+                estimated=read_estimate(i),
             ),
             image=arrays["images"][i],
             depth=truth("depth", i),

@@ -5,25 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
-from slgaussian.build import label_views, predict, see_targets
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.build import label_views, make_lesson, predict, see_targets
 from slgaussian.components.config import ComponentConfig
-from slgaussian.datasets.re10k import Clip
+from slgaussian.datasets.clip_views import Framing
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.geometry import SceneGeometry, SeenView
+from slgaussian.geometry import SeenView
 from slgaussian.io import KnownFile
-from slgaussian.scene import Sample, opaque_pixels
-from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays, sample_from_arrays, sample_to_arrays
-from tasks.chunks import Framing, framed_views, left_out, read_chunk
+from tasks.chunks import left_out, read_chunk
 from tasks.context import RunContext
-from tasks.scene import check_held_out, geometry, masks, read_geometry
+from tasks.scene import geometry, masks, read_geometry
 from tasks.stage import stage
 
 
@@ -37,7 +33,7 @@ def framed(
     ``context`` and ``targets``.
     """
     clip = read_chunk(run, chunk)[frames["clip"]]
-    sample = read_sample(clip, frames, framing, targets=True)
+    sample = framing.read_sample(clip, frames, targets=True)
     return run.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
 
 
@@ -58,7 +54,7 @@ def all_masks(
     """
     seen = read_geometry(run, sample, gaussians)
     frames = read_targets(run, sample, gaussians)
-    label_maps = label_views(seen, proposer, tracker, replicas, votes, frames)
+    label_maps = label_views(seen, proposer.load(), tracker.load(), replicas, votes, frames)
     context, targets = label_maps.split(len(seen.frames))
     target_ref = run.store.put("labels", labels_to_arrays(targets))
     meta = {
@@ -97,10 +93,8 @@ def predictions(
     rows, bad = [], []
     for row in store.get(pairs).to_pylist():
         try:
-            sample = read_sample(clips[row["clip"]], row, framing, targets=False)
-            graph = MatchGraph.of(sample.context)
-            gaussians = predict(sample, graph, loaded, seed, trust_cameras).gaussians
-            gaussians.check()
+            sample = framing.read_sample(clips[row["clip"]], row, targets=False)
+            gaussians = predict(sample, loaded, seed, trust_cameras).gaussians
         except InputError as error:
             bad.append(left_out(row["sample"], error))
             continue
@@ -110,22 +104,6 @@ def predictions(
     table = pa.Table.from_pylist(rows, schema=load_spec("predictions").schema)
     meta = {"samples": len(rows), "left_out": bad, "parts": [row["uri"] for row in rows]}
     return store.put("predictions", table, meta)
-
-
-def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: bool) -> Sample:
-    """Read the sample of a row of spec ``pairs`` at the common size.
-
-    Decoding ``targets`` takes as long as the context and is optional.
-
-    Raises:
-        InputError: If a view cannot be decoded, or the views do not make a sample, or a
-            target is a copy of a context view.
-    """
-    context = framed_views(clip, row["context"], framing)
-    target_views = framed_views(clip, row["targets"], framing) if targets else ()
-    sample = Sample(row["sample"], context, target_views)
-    check_held_out(sample)
-    return sample
 
 
 # Its version is raised with that of the stage that labels the views of a single scene.
@@ -147,40 +125,21 @@ def lessons(
     """
     store, clips = run.store, read_chunk(run, chunk)
     samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
+    masking = proposer.load(), tracker.load(), replicas, votes
     rows, bad = [], []
     for prediction in store.get(predictions).to_pylist():
         row = samples[prediction["sample"]]
         ref = ArtifactRef("gaussians", prediction["uri"], prediction["digest"])
         gaussians = Gaussians.from_arrays(store.get(ref))
         try:
-            sample = read_sample(clips[row["clip"]], row, framing, targets=True)
-            seen = SceneGeometry.of(sample.context, gaussians)
-            frames = see_targets(sample, gaussians)
-            label_maps = label_views(seen, proposer, tracker, replicas, votes, frames)
+            sample = framing.read_sample(clips[row["clip"]], row, targets=True)
+            lesson = make_lesson(sample, gaussians, *masking)
         except InputError as error:
             bad.append(left_out(prediction["sample"], error))
             continue
-        context, targets = label_maps.split(len(sample.context))
-        cameras, opaque = [view.camera for view in sample.targets], opaque_pixels(sample.targets)
-        lesson = Lesson(
-            sample.scene, gaussians, context.labels, tuple(cameras), targets.labels, opaque
-        )
         ref = store.put("lesson", lesson.to_arrays())
-        rows.append(_lesson_row(lesson, ref, row["clip"]))
+        location = {"clip": row["clip"], "uri": ref.uri, "digest": ref.digest}
+        rows.append({"sample": lesson.sample, **location, **lesson.counts()})
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
     meta = {"samples": len(rows), "left_out": bad, "parts": [row["uri"] for row in rows]}
     return store.put("lessons", table, meta)
-
-
-def _lesson_row(lesson: Lesson, ref: ArtifactRef, clip: str) -> dict[str, Any]:
-    return {
-        "sample": lesson.sample,
-        "clip": clip,
-        "uri": ref.uri,
-        "digest": ref.digest,
-        "gaussians": len(lesson.gaussians),
-        "objects": int((np.unique(lesson.labels) > 0).sum()),
-        "shared": int((np.unique(lesson.targets) > 0).sum()),
-        "unlabelled_context": float((lesson.labels == 0).mean()),
-        "unlabelled_target": float((lesson.targets == 0).mean()),
-    }

@@ -18,7 +18,8 @@ def known_bank(
 ) -> MemoryBank:
     """Build the memory bank of the objects of label maps."""
     geometry = SceneGeometry.of(sample.context, gaussians)
-    return build_memory_bank(sample, geometry, labels, method.encoder, method.codes, method.seed)
+    encoder, codes = method.encoder.load(), method.codes.load()
+    return build_memory_bank(sample, geometry, labels, encoder, codes, method.seed)
 
 
 def known_field(
@@ -31,4 +32,4 @@ def known_field(
     """Build a field of Gaussians and label maps; without a method, of all Gaussians."""
     method = method or Method(keep="all")
     bank = bank or known_bank(sample, gaussians, labels, method)
-    return lift_field(sample, gaussians, labels, bank, method, QUALITY)
+    return lift_field(sample, gaussians, labels, bank, method.lifting.load(), method, QUALITY)

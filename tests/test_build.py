@@ -94,7 +94,7 @@ def field(pair) -> SemanticField:
     return build_field(pair, Method(replicas=1))
 
 
-def bytes_of(field: SemanticField) -> dict[str, bytes]:
+def collect_bytes(field: SemanticField) -> dict[str, bytes]:
     """Return all arrays of a field and an answer as bytes."""
     arrays = {f"Gaussians {name}": t.numpy() for name, t in field.gaussians.items()}
     arrays |= {f"bank {name}": getattr(field.bank, name) for name in ("ids", "codes", "features")}
@@ -107,12 +107,12 @@ def bytes_of(field: SemanticField) -> dict[str, bytes]:
 def test_a_name_reaches_no_byte(pair, field):
     views = tuple(replace(view, name=f"other {view.name}") for view in pair.context)
     renamed = build_field(replace(pair, scene="renamed", context=views), Method(replicas=1))
-    assert bytes_of(renamed) == bytes_of(field)
+    assert collect_bytes(renamed) == collect_bytes(field)
 
 
 def test_the_seed_reaches_the_codes_and_not_the_depth(pair, field):
     other = build_field(pair, Method(replicas=1, seed=1))
-    first, second = bytes_of(field), bytes_of(other)
+    first, second = collect_bytes(field), collect_bytes(other)
     assert second["bank codes"] != first["bank codes"]
     assert second["bank features"] == first["bank features"]
 

@@ -16,7 +16,7 @@ def jpeg(image: Image.Image, quality: int) -> Image.Image:
     return Image.open(data).convert("RGB")
 
 
-def scaled(image: Image.Image, divisor: int) -> Image.Image:
+def scale(image: Image.Image, divisor: int) -> Image.Image:
     return image.resize((image.width // divisor, image.height // divisor), Image.Resampling.BOX)
 
 
@@ -41,8 +41,8 @@ COPIES = {
     "less contrast, JPEG": lambda image: jpeg(image.point(lambda level: 0.8 * level + 15), 75),
     "gamma of 0.8": lambda image: image.point(lambda level: 255 * (level / 255) ** 0.8),
     "grey": lambda image: image.convert("L").convert("RGB"),
-    "half the size, JPEG": lambda image: jpeg(scaled(image, 2), 60),
-    "an eighth of the size": lambda image: scaled(image, 8),
+    "half the size, JPEG": lambda image: jpeg(scale(image, 2), 60),
+    "an eighth of the size": lambda image: scale(image, 8),
     "cropped by four percent": lambda image: ImageOps.crop(image, (image.width // 50, 9, 7, 5)),
     "white frame": lambda image: ImageOps.expand(image, image.width // 40, "white"),
     "status bar": with_status_bar,

@@ -38,15 +38,15 @@ def home() -> Sample:
     """Return a room whose positions have six decimals, as those of a file."""
     scene = load("procedural", seed=1, views=3, height=120, width=160)
     sample = scene.sample(["view_00", "view_02"], ["view_01"])
-    return _moved(sample, lambda center: np.round(center, 6))
+    return _move(sample, lambda center: np.round(center, 6))
 
 
 def far(place: str) -> Sample:
     offset, unit = PLACES[place]
-    return _moved(home(), lambda center: center * unit + offset)
+    return _move(home(), lambda center: center * unit + offset)
 
 
-def _moved(sample: Sample, change) -> Sample:
+def _move(sample: Sample, change) -> Sample:
     def move(view: View) -> View:
         c2w = view.camera.c2w.copy()
         c2w[:3, 3] = change(c2w[:3, 3])
@@ -57,14 +57,14 @@ def _moved(sample: Sample, change) -> Sample:
 
 
 @cache
-def field_of(place: str | None) -> slg.SemanticField:
+def build_at(place: str | None) -> slg.SemanticField:
     return slg.build_field(home() if place is None else far(place))
 
 
 def _views(place: str | None) -> list:
     sample = home() if place is None else far(place)
     cameras = [view.camera for view in (*sample.context, *sample.targets)]
-    return [field_of(place).render(camera) for camera in cameras]
+    return [build_at(place).render(camera) for camera in cameras]
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -80,7 +80,7 @@ def test_a_field_looks_and_answers_the_same_wherever_its_cameras_stand(place: st
         asked = here.query(TEXT), there.query(TEXT)
         assert asked[0].point == asked[1].point
         assert abs(asked[0].score - asked[1].score) < 1e-6
-    boxes = ([thing.box for thing in field_of(p).inventory()] for p in (None, place))
+    boxes = ([thing.box for thing in build_at(p).inventory()] for p in (None, place))
     for box, far_box in zip(*boxes, strict=True):
         np.testing.assert_allclose((far_box.centre - offset) / unit, box.centre, atol=5 * bound)
 
@@ -98,7 +98,7 @@ def test_a_far_field_draws_what_the_float64_reference_draws_at_home() -> None:
 
 
 def test_files_keep_the_world_of_a_far_field(tmp_path) -> None:
-    field = field_of("earth-centred")
+    field = build_at("earth-centred")
     field.save(tmp_path / "field")
     loaded = slg.SemanticField.load(tmp_path / "field")
     camera = far("earth-centred").targets[0].camera
@@ -118,7 +118,7 @@ def test_files_keep_the_world_of_a_far_field(tmp_path) -> None:
 
 
 def test_a_ply_of_far_doubles_keeps_its_precision(tmp_path) -> None:
-    save_ply(field_of(None).gaussians, tmp_path / "near.ply")
+    save_ply(build_at(None).gaussians, tmp_path / "near.ply")
     table = PlyData.read(tmp_path / "near.ply")["vertex"].data
     kinds = [(name, "<f8" if name in "xyz" else table.dtype[name]) for name in table.dtype.names]
     doubles = table.astype(kinds)

@@ -31,7 +31,6 @@ from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian.build import predict
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import MAX_CONFIDENCE, MIN_CONFIDENCE
 from slgaussian.cameras.two_view import Photograph
 from slgaussian.components.method import Method
@@ -144,8 +143,7 @@ def measure(images: Sequence[np.ndarray], cameras: Sequence[Camera]) -> dict[str
             K = np.diag([w / camera.width, h / camera.height, 1]) @ camera.K
             views.append(View(name, replace(camera, K=K, width=w, height=h), small))
         sample, method = Sample("pair", tuple(views)), Method()
-        graph = MatchGraph.of(sample.context)
-        quality = predict(sample, graph, method.predictor, method.seed).quality
+        quality = predict(sample, method.predictor.load(), method.seed).quality
     except InputError:
         return None
     pose, true = (b.w2c @ a.c2w for a, b in (list(result.cameras.values()), cameras))

@@ -21,7 +21,6 @@ from slgaussian.benchmark.annotations import Truth, read_truth
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.build import build_memory_bank, label_views, lift_field, predict
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Sample
 from slgaussian.semantic.hard import code_images
@@ -88,13 +87,12 @@ def build_fields(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     others; the bytes equal those of separate builds.
     """
     method = Settings().field_method.model_copy(update={"seed": seeds[0]})
-    graph = MatchGraph.of(sample.context)
-    predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras=True)
+    predictor, proposer, tracker, encoder, draw, lifting = (c.load() for c in method.components)
+    predicted = predict(sample, predictor, method.seed, trust_cameras=True)
     gaussians, geometry, quality, depths = predicted
-    labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
-    bank = build_memory_bank(sample, geometry, labels, method.encoder, method.codes, method.seed)
-    draw, proposer = method.codes.load(), method.proposer.load()
-    field = lift_field(sample, gaussians, labels, bank, method, quality, depths)
+    labels = label_views(geometry, proposer, tracker, method.replicas)
+    bank = build_memory_bank(sample, geometry, labels, encoder, draw, method.seed)
+    field = lift_field(sample, gaussians, labels, bank, lifting, method, quality, depths)
     object_ids = field.labels()
     for seed in seeds:
         codes = draw(labels, rng_for(seed, sample.content, "codes"))

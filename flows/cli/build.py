@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import time
-import warnings
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
@@ -79,7 +78,7 @@ def field(
     slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
     slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/
     """
-    from flows.cli.photographs import load_photographs, print_warnings
+    from flows.cli.photographs import begin_work, load_photographs
     from slgaussian import precompile
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality, camera_doubt
@@ -98,15 +97,10 @@ def field(
         check_same_photographs(out, places)
     seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
     precompile.begin()
-    height, width = sample.context[0].image.shape[:2]
-    views = f"{len(sample.context)} views of {width}x{height}"
-    names = ", ".join(component.name for component in settings.field_method.components)
-    typer.echo(f"building a field from {views}{f' with {names}' if verbose else ''}", err=True)
-    with warnings.catch_warnings(record=True) as caught:
-        built = build_field(
-            sample, settings.field_method, settings.trust_cameras, seconds.__setitem__
-        )
-    print_warnings([str(warning.message) for warning in caught], verbose)
+    method = settings.field_method
+    names = [component.name for component in method.components] if verbose else []
+    with begin_work("building a field from", sample, names, verbose):
+        built = build_field(sample, method, settings.trust_cameras, seconds.__setitem__)
     built.save(out, describe_photographs(places))
     quality = Quality(**built.settings["quality"])
     size_text = f"{len(built.gaussians):,} Gaussians, {len(built.bank)} objects"
@@ -205,10 +199,10 @@ def masks(
     slgaussian masks a.jpg b.jpg --cameras transforms.json --proposer sam -o ids/
     slgaussian field a.jpg b.jpg --tracker precomputed --set precomputed.folder=ids/ -o field/
     """
-    from flows.cli.photographs import load_photographs, print_warnings
+    from flows.cli.photographs import begin_work, load_photographs
     from slgaussian.benchmark import pictures
     from slgaussian.benchmark.reports.text_table import table_text
-    from slgaussian.build import label_photographs
+    from slgaussian.build import label_photographs, record_estimation
     from slgaussian.cameras.quality import camera_doubt
     from slgaussian.components.method import BuildConfig, Method
     from slgaussian.io import atomic_folder
@@ -220,17 +214,11 @@ def masks(
     sample, _ = load_photographs(photos, cameras, settings)
     components = [settings.configure(kind) for kind in options.COMPONENTS]
     method = Method(*components, **dict(BuildConfig.of(settings)))
-    height, width = sample.context[0].image.shape[:2]
-    views = f"{len(sample.context)} views of {width}x{height}"
-    typer.echo(f"labelling {views} with {', '.join(c.name for c in components)}", err=True)
     start = time.perf_counter()
-    with warnings.catch_warnings(record=True) as caught:
+    with begin_work("labelling", sample, [c.name for c in components], verbose=True):
         sample, predicted, maps = label_photographs(sample, method, settings.trust_cameras)
-    print_warnings([str(warning.message) for warning in caught], verbose=True)
-    if sample.estimation:
-        confidence = predicted.quality.camera_confidence(sample.estimation["confidence"])
-        if doubt := camera_doubt({**sample.estimation, "confidence": confidence}):
-            typer.echo(f"warning: {doubt}", err=True)
+    if doubt := camera_doubt(record_estimation(sample, predicted.quality)):
+        typer.echo(f"warning: {doubt}", err=True)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 
     namesakes = [name for view in sample.context for name in view.namesakes]
@@ -251,7 +239,7 @@ def masks(
         (draft / PREVIEW_FILE).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
         identities: dict[str, Any] = {c.kind: {c.name: c.identity()} for c in components}
         identities |= {"replicas": method.replicas, "votes": method.votes}
-        text = {"size": [height, width], "views": files, "settings": identities}
+        text = {"size": list(maps.labels.shape[1:]), "views": files, "settings": identities}
         (draft / MASKS_FILE).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
     typer.echo(table_text(rows, "<<"))
     shared = len(maps.ids) - len(maps.seen_once)

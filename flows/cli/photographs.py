@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +50,7 @@ def load_photographs(
         InputError: If an argument cannot be used.
     """
     if cameras is None and settings.predictor == "precomputed":
-        cameras = _cameras_of(dict(settings.configure("predictor"))["geometry"])
+        cameras = _find_cameras(dict(settings.configure("predictor"))["geometry"])
     if cameras is None:
         files = unposed.named(photos)
         if keyframes is not None:
@@ -72,7 +74,7 @@ def load_photographs(
     return sample, places
 
 
-def _cameras_of(geometry: Path | None) -> Path | None:
+def _find_cameras(geometry: Path | None) -> Path | None:
     """Return the file of precomputed geometry if it has cameras too."""
     if geometry is None or geometry.suffix != ".npz" or not geometry.is_file():
         return None
@@ -82,10 +84,23 @@ def _cameras_of(geometry: Path | None) -> Path | None:
     return None if stored.poses is None or stored.maps[0].K is None else geometry
 
 
-def print_warnings(warnings: Sequence[str], verbose: bool) -> None:
+@contextmanager
+def begin_work(
+    work: str, sample: Sample, components: Sequence[str], verbose: bool
+) -> Iterator[None]:
+    """Print what the work on a sample begins with, and the warnings of the block when it ends."""
+    height, width = sample.context[0].image.shape[:2]
+    names = f" with {', '.join(components)}" if components else ""
+    print(f"{work} {len(sample.context)} views of {width}x{height}{names}", file=sys.stderr)
+    with warnings.catch_warnings(record=True) as caught:
+        yield
+    print_warnings([str(warning.message) for warning in caught], verbose)
+
+
+def print_warnings(texts: Sequence[str], verbose: bool) -> None:
     """Print all warnings if ``verbose``, else the first one and the number of the others."""
-    for warning in warnings if verbose else warnings[:1]:
-        rest = f" (and {len(warnings) - 1} more, with -v)" if warnings[1:] else ""
+    for warning in texts if verbose else texts[:1]:
+        rest = f" (and {len(texts) - 1} more, with -v)" if texts[1:] else ""
         print(f"warning: {warning}{'' if verbose else rest}", file=sys.stderr)
 
 

@@ -150,7 +150,7 @@ def adjust(
     normal = problem.normal(state)
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
-        trial = problem.project(problem.moved(state.bundle, normal, damping))
+        trial = problem.project(problem.take_step(state.bundle, normal, damping))
         gain = state.cost - trial.cost
         if not gain > 0:
             damping, growth = damping * growth, growth * 2
@@ -278,9 +278,14 @@ class _Problem:
             prior,
         )
 
-    def moved(self, bundle: Bundle, normal: _Normal, damping: float) -> Bundle:
-        """Return the bundle after the damped step of the cameras and of the points."""
-        S, side, inverse = self.reduced(normal, damping)
+    def take_step(self, bundle: Bundle, normal: _Normal, damping: float) -> Bundle:
+        """Return the bundle after the damped step of the cameras and of the points.
+
+        The normal equations [A W'; W B] [c; p] = [a; b] are solved for the cameras c by the Schur
+        complement, (A - W' B^-1 W) c = a - W' B^-1 b, and then for the points, p = B^-1 (b - W c),
+        where B has a block of 3 x 3 for each point.
+        """
+        S, side, inverse = self.eliminate_points(normal, damping)
         S += normal.prior
         np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras + normal.prior)
         free = self.free(bundle)
@@ -301,9 +306,11 @@ class _Problem:
         focals = bundle.focals * np.exp(logs)
         return replace(bundle, R=_rotations(poses[:, :3]) @ bundle.R, t=t, focals=focals, points=q)
 
-    def reduced(self, normal: _Normal, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the cameras' Schur complement [P, P] and right side [P], and inverse blocks of
-        points."""
+    def eliminate_points(
+        self, normal: _Normal, damping: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return S = A - W' B^-1 W [P, P] and a - W' B^-1 b [P] of :meth:`take_step`, with damped
+        B, and the blocks of B^-1 [N, 3, 3]."""
         diagonal = np.einsum("nii->ni", normal.points)
         damped = normal.points.copy()
         floor = 1e-14 * diagonal.sum(1, keepdims=True) + 1e-300
@@ -341,10 +348,12 @@ class _Problem:
     def covariance(self, state: _State, normal: _Normal) -> np.ndarray:
         """Compute the covariance [P, P] of the cameras, with the noise level of the residuals.
 
-        The covariance is that of an M-estimator (Huber 1981, ch. 7.6). Points and cameras reduce
-        the degrees of freedom of the residuals.
+        The covariance is that of an M-estimator (Huber 1981, ch. 7.6): for weights w of residuals
+        r, the inverse of S times mean(w) sum(w^2 r^2) / (left slope^2), where ``slope`` is the mean
+        derivative of the weighted residual. Points and cameras reduce the degrees of freedom
+        ``left`` of the residuals.
         """
-        S, _, _ = self.reduced(normal, 0.0)
+        S, _, _ = self.eliminate_points(normal, 0.0)
         free = self.free(state.bundle)
         r2 = (state.residuals**2).sum(1)
         weight = 3 / (self.scale**2 + r2)

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, View
+from slgaussian.scene import Camera, Sample, View
 
 COARSE_DISTANCE = 0.01
 FINE_DISTANCE = 0.002
@@ -105,13 +105,14 @@ def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> 
         raise InputError(f"scene {scene!r}: {_refusal(worst, estimated)}")
 
 
-def check_pairs(views: Sequence[View], graph: MatchGraph) -> list[PairCheck]:
-    """Check the cameras of the pairs of views that connect all views, in the order of the pairs.
+def check_pairs(sample: Sample) -> list[PairCheck]:
+    """Check the cameras of the pairs of context views that connect all, in the order of the pairs.
 
     They form a maximum spanning tree of the agreeing matches. Most pairs of views along a walk show
     nothing in common, and their matches are wrong. A pair without enough agreement is used only to
     connect a view that has no other edge in the tree so far.
     """
+    views, graph = sample.context, match_views(sample)
     checks = {(i, j): check_pair(views[i], views[j], *graph.points(i, j)) for i, j in graph.matches}
     piece = {view: {view} for pair in checks for view in pair}
     selected = []
@@ -130,7 +131,7 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
     coarse, fine = COARSE_DISTANCE * diagonal, max(FINE_DISTANCE * diagonal, MIN_FINE_DISTANCE)
     pair = a.camera, b.camera
     agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))
-    near = explained(*pair, at_a, at_b, coarse)
+    near = explain(*pair, at_a, at_b, coarse)
     check = PairCheck(
         views=(a.name, b.name),
         matches=len(at_a),
@@ -141,10 +142,10 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
     )
     if not check.judged:
         return check
-    uncorrected = explained(*pair, at_a, at_b, fine).sum()
+    uncorrected = explain(*pair, at_a, at_b, fine).sum()
     check = replace(check, precise=float(uncorrected / max(finely, 1)))
     counts = {
-        advice: explained(*correct(*pair), at_a, at_b, fine).sum()
+        advice: explain(*correct(*pair), at_a, at_b, fine).sum()
         for advice, correct in CORRECTIONS.items()
     }
     best = max(counts, key=counts.__getitem__)
@@ -152,7 +153,7 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
     return replace(check, correction=best) if counts[best] >= min_explained else check
 
 
-def explained(
+def explain(
     a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray, distance: float
 ) -> np.ndarray:
     """Find the matches [M, 2] and [M, 2] that two cameras explain: bool [M].
@@ -220,11 +221,11 @@ def _refusal(check: PairCheck, estimated: bool) -> str:
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Camera], Pair]:
+def _change_poses(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Camera], Pair]:
     return lambda a, b: (replace(a, c2w=change(a.c2w)), replace(b, c2w=change(b.c2w)))
 
 
-def _scaled(factor: float, columns: int) -> Callable[[Camera, Camera], Pair]:
+def _scale(factor: float, columns: int) -> Callable[[Camera, Camera], Pair]:
     """Return a function that scales the first columns of K: 2 for focal lengths alone, or all 3."""
     scale = np.ones((3, 3))
     scale[:2, :columns] = factor
@@ -243,16 +244,18 @@ CORRECTIONS: dict[str, Callable[[Camera, Camera], Pair]] = {
         replace(b, c2w=a.c2w),
     ),
     "if the y and z axes of every pose are reversed, OpenCV's for OpenGL's or the other way round: "
-    "multiply the second and the third column of each by -1": _posed(lambda c2w: c2w @ _FLIP_YZ),
-    _INVERTED.format("OpenCV"): _posed(np.linalg.inv),
-    _INVERTED.format("OpenGL"): _posed(lambda c2w: _FLIP_YZ @ np.linalg.inv(c2w) @ _FLIP_YZ),
+    "multiply the second and the third column of each by -1": _change_poses(
+        lambda c2w: c2w @ _FLIP_YZ
+    ),
+    _INVERTED.format("OpenCV"): _change_poses(np.linalg.inv),
+    _INVERTED.format("OpenGL"): _change_poses(lambda c2w: _FLIP_YZ @ np.linalg.inv(c2w) @ _FLIP_YZ),
     **{
-        f"if the focal length is {_factor_text(factor)}": _scaled(factor, 2)
+        f"if the focal length is {_factor_text(factor)}": _scale(factor, 2)
         for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4)
     },
     **{
         f"if focal length and principal point are {_factor_text(factor)}, as for a photograph of "
-        "another size": _scaled(factor, 3)
+        "another size": _scale(factor, 3)
         for factor in (1 / 4, 1 / 2, 2, 4)
     },
 }

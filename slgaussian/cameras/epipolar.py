@@ -128,7 +128,7 @@ class TwoViews:
         return np.outer([fb, fb, 1], [fa, fa, 1])
 
     def fundamental_slopes(self, prior: FocalPrior) -> np.ndarray:
-        """Return derivatives [5 + F, 3, 3] of :meth:`fundamental` by the steps of :meth:`moved`."""
+        """Return derivatives [5 + F, 3, 3] of :meth:`fundamental` by :meth:`take_step`."""
         cross, F = _cross_matrix(self.t), self.fundamental()
         turned = [cross @ _cross_matrix(axis) @ self.R / self.pixels for axis in np.eye(3)]
         shifted = [_cross_matrix(axis) @ self.R / self.pixels for axis in _across(self.t)]
@@ -158,7 +158,7 @@ class TwoViews:
         """Find matches in front of both cameras and ``within`` pixels of the epipolar lines."""
         return (np.abs(self.distance(x, y)) < within) & (self.depths(x, y) > 0).all(0)
 
-    def moved(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
+    def take_step(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
         """Apply a step: rotation ``step[:3]``, direction of t ``step[3:5]``, lenses rest."""
         t = self.t + step[3:5] @ _across(self.t)
         moves = self.moves + step[5:]
@@ -206,7 +206,7 @@ def straighten(
     seen = np.sqrt((points**2).sum(1)) + 1e-12
     fold = np.sqrt((1 - LEAST_STRETCH) / max(-3 * bend, 1e-30))
     radius = np.minimum(seen, fold)
-    for _ in range(8):
+    for _ in range(8):  # Newton's method
         miss = radius * (1 + bend * radius**2) - seen
         radius = np.clip(radius - miss / (1 + 3 * bend * radius**2), 0, fold)
     along = points / seen[:, None]
@@ -294,7 +294,7 @@ def _under(views: TwoViews, prior: FocalPrior) -> TwoViews:
             (prior.bend_directions, np.array(views.bends)),
         )
     ]
-    return replace(views, moves=np.concatenate(moves)).moved(
+    return replace(views, moves=np.concatenate(moves)).take_step(
         np.zeros(5 + sum(map(len, moves))), prior
     )
 
@@ -368,7 +368,7 @@ def _minimise_cauchy(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: Focal
         hessian, gradient = _normal(views, x, y, prior)
         for _ in range(6):
             diagonal = np.diag(np.diag(hessian) * damping + 1e-12)
-            trial = views.moved(-np.linalg.solve(hessian + diagonal, gradient), prior)
+            trial = views.take_step(-np.linalg.solve(hessian + diagonal, gradient), prior)
             if (value := cost(trial)) < best:
                 break
             damping *= 8
@@ -384,8 +384,7 @@ def _normal(
     views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the Hessian [P, P] and gradient [P] of the posterior of the given matches."""
-    J = jacobian(views, x, y, prior) / views.scale
-    distance = views.distance(x, y) / views.scale
+    distance, J = (values / views.scale for values in linearise(views, x, y, prior))
     weight = 1 / (1 + distance**2) / CORRELATED_MATCHES
     hessian, gradient = (J * weight[:, None]).T @ J, J.T @ (weight * distance)
     hessian[5:, 5:] += np.eye(len(views.moves))
@@ -393,9 +392,16 @@ def _normal(
     return hessian, gradient
 
 
-def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> np.ndarray:
-    """Return derivatives [M, 5 + F] of :meth:`TwoViews.distance` by the steps of
-    :meth:`TwoViews.moved`."""
+def linearise(
+    views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return :meth:`TwoViews.distance` [M], and its derivatives [M, 5 + F + B] by the steps of
+    :meth:`TwoViews.take_step`.
+
+    With the numerator n = y F x and the squared gradient g = |Fx|^2 + |F'y|^2 over the first two
+    components, the distance is d = n / sqrt(g), and a step changes it by
+    dd = (dn - n / g (Fx dFx + F'y dF'y)) / sqrt(g).
+    """
     columns = [
         (_bend(views, step).distance(x, y) - _bend(views, -step).distance(x, y)) / 0.02
         for step in 0.01 * prior.bend_directions
@@ -408,8 +414,9 @@ def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
     slopes_b = at_x @ slopes.transpose(0, 2, 1)
     slopes_a = at_y @ slopes[:, :, :2]
     slope = (to_y * in_y(slopes_b[..., :2])).sum(2) + (to_x * in_x(slopes_a)).sum(2)
-    of_pose = ((at_y * slopes_b).sum(2) - numerator * slope / square) / np.sqrt(square)
-    return np.concatenate([of_pose, columns]).T if columns else of_pose.T
+    by_pose = ((at_y * slopes_b).sum(2) - numerator * slope / square) / np.sqrt(square)
+    derivatives = np.concatenate([by_pose, columns]).T if columns else by_pose.T
+    return numerator / np.sqrt(square), derivatives
 
 
 def _bend(views: TwoViews, step: np.ndarray) -> TwoViews:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.datasets.lens import Maps, lens_maps
 from slgaussian.io import short_repr
 from slgaussian.scene import Camera
@@ -77,6 +78,8 @@ class EstimatedCameras:
             be estimated.
         distortions: mapping str -> float. Brown's k1 of photographs whose distortion was estimated;
             the cameras are those of the undistorted photographs.
+        matches: Matches of the pairs that were solved, pixels of the whole photographs, undistorted
+            if their cameras are.
     """
 
     cameras: Mapping[str, Camera]
@@ -87,6 +90,7 @@ class EstimatedCameras:
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     distortions: Mapping[str, float] = field(default_factory=dict)
+    matches: MatchGraph | None = None
 
     __repr__ = short_repr
 
@@ -132,3 +136,12 @@ class EstimatedCameras:
 
 def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def describe_cameras(cameras: Iterable[Camera]) -> str:
+    """Describe the origin of cameras: given, or estimated, with the source of focal lengths."""
+    estimates = [camera.estimated for camera in cameras if camera.estimated is not None]
+    if not estimates:
+        return "given"
+    sources = " and ".join(sorted({estimate.source for estimate in estimates}))
+    return f"estimated, focal length from {sources}"

@@ -15,6 +15,7 @@ from slgaussian.cameras.epipolar import CORRELATED_MATCHES
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.cameras.incremental import Placed, Tie, place
 from slgaussian.cameras.lens_errors import SUSPECT_WRONG, LensEvidence, combine, interval
+from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.matches import match
 from slgaussian.cameras.two_view import EXIF_FOCAL_STD, Described, PairPose, Photograph, confidence
 from slgaussian.copies import Thumbnail, are_copies
@@ -144,7 +145,9 @@ def _find_two(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
     probability = confidence(pose) * (DOUBTFUL_PAIR_FACTOR if doubtful else 1)
     doubt = pair.said if doubtful else ""
     placed = np.stack([np.eye(3), R]), np.stack([np.zeros(3), t])
-    return _estimated_cameras(described, *placed, focals, deviations, (pair,), probability, doubt)
+    found = _estimated_cameras(described, *placed, focals, deviations, (pair,), probability, doubt)
+    graph = _graph([first, second], poses).select([1, 0] if reverse else [0, 1])
+    return replace(found, matches=graph)
 
 
 def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
@@ -166,15 +169,16 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
         priors.setdefault(item.lens, item.focal)
     lenses = list(priors)
     mean, sigma = np.array(list(priors.values())).T
+    solved = {views: pose for views, pose in poses.items() if len(pose.i) >= two_view.MIN_INLIERS}
     placed = place(
-        [item.features.points for item in ordered],
+        _refined_keypoints(ordered, solved),
         np.array([item.middle for item in ordered]),
         np.array([lenses.index(item.lens) for item in ordered]),
         np.exp(mean),
         sigma,
-        [_tie(views, pose) for views, pose in poses.items() if len(pose.i) >= two_view.MIN_INLIERS],
+        [_tie(views, pose) for views, pose in solved.items()],
     )
-    _require_all_placed(ordered, poses, placed)
+    _require_places(ordered, poses, placed)
     assert placed is not None
     bundle = placed.adjusted.bundle
     index_of = np.argsort(placed.order)[np.argsort(order)]
@@ -189,13 +193,13 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
             f"{first!r} and {second!r}: taken from one place, but the distance of the first two is "
             "the unit of length; leave one out, or put it last"
         )
-    pairs = {views: _checked(pose, placed, views, order) for views, pose in poses.items()}
+    pairs = {views: _check_pair(pose, placed, views, order) for views, pose in poses.items()}
     probability = _confidence(ordered, placed, pairs)
     lens = bundle.group[index_of]
     deviations = placed.adjusted.focal_deviations[lens]
     doubtful = probability < DOUBTFUL_CONFIDENCE
     doubt = "some photographs share little with the others" if doubtful else ""
-    return _estimated_cameras(
+    found = _estimated_cameras(
         described,
         R,
         t / scale,
@@ -205,6 +209,27 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
         probability,
         doubt,
     )
+    graph = _graph(ordered, solved).select([int(rank) for rank in np.argsort(order)])
+    return replace(found, matches=graph)
+
+
+def _refined_keypoints(
+    described: Sequence[Described], poses: Mapping[tuple[int, int], PairPose]
+) -> list[np.ndarray]:
+    """Return the keypoints of each image, pixels; inliers of poses where they were refined to."""
+    keypoints = [item.features.points.copy() for item in described]
+    for (_, second), pose in reversed(list(poses.items())):
+        keypoints[second][pose.j] = pose.y + pose.second.middle
+    return keypoints
+
+
+def _graph(described: Sequence[Described], poses: Mapping[tuple[int, int], PairPose]) -> MatchGraph:
+    """Return the matches of solved pairs, in pixels of the whole photographs."""
+    keypoints = []
+    for item, points in zip(described, _refined_keypoints(described, poses), strict=True):
+        whole = np.array([item.photograph.width, item.photograph.height])
+        keypoints.append(points * (whole / (2 * item.middle)))
+    return MatchGraph(keypoints, {views: pose.matches for views, pose in poses.items()})
 
 
 def settle_lenses(
@@ -263,11 +288,10 @@ def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
     A third photograph may show the same points from another position.
     """
     angle = float(np.nan_to_num(pose.estimate.angle))
-    xy = pose.y + pose.second.middle
-    return Tie(views, (pose.i, pose.j), xy, pose.views, angle, confidence(pose))
+    return Tie(views, (pose.i, pose.j), pose.views, angle, confidence(pose))
 
 
-def _require_all_placed(
+def _require_places(
     described: Sequence[Described], poses: dict[tuple[int, int], PairPose], placed: Placed | None
 ) -> None:
     """Raise InputError if no photograph was placed, Unplaced if some were not."""
@@ -301,7 +325,7 @@ def _unplaced_reason(
     return f"of it and {neighbour!r}, which shares most with it: {reason}"
 
 
-def _checked(
+def _check_pair(
     pose: PairPose, placed: Placed, views: tuple[int, int], order: Sequence[int]
 ) -> EstimatedPair:
     """Return the estimate of a pair in input order, UNUSED if the joint solution contradicts it."""
@@ -370,7 +394,7 @@ def _estimated_cameras(
     cameras, by_name = {}, {}
     for k, item in enumerate(described):
         photograph = item.photograph
-        focal = focal_of(focals[k] / item.shrunk, float(deviations[k]), item)
+        focal = estimate_focal(focals[k] / item.shrunk, float(deviations[k]), item)
         f, width, height = focal.pixels, photograph.width, photograph.height
         c2w = np.eye(4)
         c2w[:3, :3], c2w[:3, 3] = R[k].T, -R[k].T @ t[k]
@@ -413,7 +437,7 @@ def _lens_warnings(described: Sequence[Described], focals: Mapping[str, Focal]) 
     return tuple(notes.values())
 
 
-def focal_of(pixels: float, deviation: float, item: Described) -> Focal:
+def estimate_focal(pixels: float, deviation: float, item: Described) -> Focal:
     """Return the focal length of the whole photograph with its interval, from the standard
     deviation of its logarithm. Where EXIF may be wrong, the interval is that of both answers."""
     priors = item.priors

@@ -52,8 +52,6 @@ class Tie:
         views: (int, int)
         features: (int64 [M], int64 [M]). Indices of matching features that are inliers of the
             relative pose, in each view.
-        xy: float64 [M, 2]. Positions of the first view's features in the second view, pixels; may
-            be more accurate than the keypoints of the second view.
         relative: Relative pose, t up to scale, and focal lengths; None if unknown.
         angle: Degrees between the two lines of sight, median.
         confidence: Probability, 0 to 1, that the relative pose is right; matches are used
@@ -62,7 +60,6 @@ class Tie:
 
     views: tuple[int, int]
     features: tuple[np.ndarray, np.ndarray]
-    xy: np.ndarray
     relative: TwoViews | None
     angle: float
     confidence: float
@@ -106,10 +103,7 @@ def place(
     if not ties:
         return None
     ties = sorted(ties, key=lambda tie: tie.views)
-    points = [view_points.copy() for view_points in keypoints]
-    for tie in reversed(ties):
-        points[tie.views[1]][tie.features[1]] = tie.xy
-    tracks = join_tracks(points, [(*tie.views, *tie.features) for tie in ties])
+    tracks = join_tracks(keypoints, [(*tie.views, *tie.features) for tie in ties])
     ends = np.array([tie.views for tie in ties]).T
     tied = coo_array((np.ones(len(ties)), tuple(ends)), shape=(len(keypoints),) * 2)
     _, piece = connected_components(tied, directed=False)
@@ -125,12 +119,12 @@ def place(
         grown = _Reconstruction(tracks, centers, group, focal_prior, focal_sigma, ties)
         if not grown.grow(start):
             continue
-        explained = grown.explained()
+        explained = grown.count_inliers()
         trials.append(((len(grown.placed), explained), grown))
         sufficient = SUFFICIENT_INLIER_SHARE * len(tracks.view)
         if len(grown.placed) == len(keypoints) and explained > sufficient:
             break
-    return max(trials, key=lambda trial: trial[0])[1].finished() if trials else None
+    return max(trials, key=lambda trial: trial[0])[1].finish() if trials else None
 
 
 @dataclass(eq=False)
@@ -172,7 +166,7 @@ class _Reconstruction:
                 adjusted = len(self.placed)
         return True
 
-    def finished(self) -> Placed | None:
+    def finish(self) -> Placed | None:
         """Adjust all views in the frame of the first view; None if they have too few inliers."""
         self.placed.sort()
         a = self.placed[0]
@@ -188,7 +182,7 @@ class _Reconstruction:
             last = self._adjust(1.0, FINAL_TRACKS, 30, 1e-6)
         return None if last is None else Placed(np.array(self.placed), last)
 
-    def explained(self) -> int:
+    def count_inliers(self) -> int:
         """Count the inlier observations."""
         return int(self._points(1.0)[1].sum())
 

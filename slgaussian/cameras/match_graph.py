@@ -12,13 +12,19 @@ import numpy as np
 
 from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.io import short_repr
-from slgaussian.scene import ROUNDING, View
+from slgaussian.scene import ROUNDING, Sample, View
 
 NEIGHBOURS = 6
 """Number of nearest views, by camera distance, with which each view is matched."""
 
 MAX_AXIS_ANGLE = 90.0
 """Angle between two optical axes, degrees, from which on two views are not matched."""
+
+Matches = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+"""Indices int [M] and int [M] of the matching keypoints of pairs of views (i, j), i < j."""
+
+Verified = tuple[Matches, Mapping[tuple[int, int], str]]
+"""Matches that fit the poses of their views and have parallax; and why other pairs have none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +33,51 @@ class MatchGraph:
 
     Attributes:
         keypoints: sequence of V float64 [N, 2]. Pixels, pixel centres at +0.5.
-        matches: mapping (i, j), i < j, to (int [M], int [M]). Indices of the matching keypoints of
-            the two views. Pairs are neighbouring cameras, and successive views, because wrong poses
-            may separate views that overlap.
+        matches: Pairs are neighbouring cameras, and successive views, because wrong poses may
+            separate views that overlap; or those that the estimation of cameras solved.
+        verified: Result of :func:`slgaussian.predict.view_graph.verify`, if it is known.
     """
 
     keypoints: Sequence[np.ndarray]
-    matches: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+    matches: Matches
+    verified: Verified | None = None
 
     __repr__ = short_repr
+
+    def select(self, views: Sequence[int]) -> MatchGraph:
+        """Return the graph of some of the views, in this order."""
+        place = {view: number for number, view in enumerate(views)}
+        matches = {}
+        for (i, j), (first, second) in self.matches.items():
+            if i in place and j in place:
+                a, b = place[i], place[j]
+                matches[min(a, b), max(a, b)] = (first, second) if a < b else (second, first)
+        return MatchGraph([self.keypoints[view] for view in views], dict(sorted(matches.items())))
+
+    def crop(self, views: Sequence[View]) -> MatchGraph:
+        """Map keypoints of whole photographs to the pixels of views of them, resized and cropped.
+
+        Matches of what a view does not show are dropped.
+        """
+        keypoints, inside = [], []
+        for view, points in zip(views, self.keypoints, strict=True):
+            part, size = view.shown, np.array([view.camera.width, view.camera.height])
+            corner, end = np.array([[part.left, part.top], [part.right, part.bottom]])
+            keypoints.append((points - corner) * (size / (end - corner)))
+            inside.append(((keypoints[-1] >= 0) & (keypoints[-1] < size)).all(1))
+        matches = {}
+        for (i, j), (first, second) in self.matches.items():
+            shown = inside[i][first] & inside[j][second]
+            matches[i, j] = first[shown], second[shown]
+        return MatchGraph(keypoints, matches)
+
+    @property
+    def connects_all(self) -> bool:
+        """True if a chain of pairs with matches leads from each view to each other."""
+        reached, pairs = {0}, [{*pair} for pair, (first, _) in self.matches.items() if len(first)]
+        for _ in self.keypoints:
+            reached |= {view for pair in pairs if pair & reached for view in pair}
+        return len(reached) == len(self.keypoints)
 
     @staticmethod
     def of(views: Sequence[View]) -> MatchGraph:
@@ -74,6 +116,11 @@ class MatchGraph:
         return MatchGraph(
             keypoints, {pair: (indices[:, 0], indices[:, 1]) for pair, indices in split}
         )
+
+
+def match_views(sample: Sample) -> MatchGraph:
+    """Return the matches of the context views of a sample, computed if they are not known."""
+    return sample.matches or MatchGraph.of(sample.context)
 
 
 def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int, int]]:

@@ -108,7 +108,7 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     focus = start.center + np.median(z[inside]) * start.c2w[:3, 2]
     angles = 2 * np.pi * np.arange(n) / n
     places = start.center - np.outer(np.cos(angles), along) + np.outer(np.sin(angles), across)
-    return [_aimed(start, place, focus) for place in places]
+    return [_aim(start, place, focus) for place in places]
 
 
 def _half_axes(
@@ -135,7 +135,7 @@ def _half_axes(
     return reach * along, second * across
 
 
-def _aimed(camera: Camera, place: np.ndarray, focus: np.ndarray) -> Camera:
+def _aim(camera: Camera, place: np.ndarray, focus: np.ndarray) -> Camera:
     """Return ``camera`` moved to ``place`` and rotated minimally so that ``focus`` is projected to
     the centre."""
     before, after = camera.c2w[:3, 2], focus - place

@@ -9,7 +9,7 @@ import numpy as np
 from slgaussian.scene import Camera
 
 
-def mapped(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def transform(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """Multiply points [..., M] by a matrix [K, M], giving [..., K], bitwise equal on any CPU.
 
     BLAS sums in an order that depends on the CPU, and the last bit can change which points match.
@@ -18,7 +18,7 @@ def mapped(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Multiply matrices [N, M] and [M, K], giving [N, K], as reproducibly as :func:`mapped`."""
+    """Multiply matrices [N, M] and [M, K], giving [N, K], as reproducibly as :func:`transform`."""
     return np.einsum("ij,jk->ik", a, b)
 
 
@@ -39,12 +39,12 @@ class Relative:
         """Compute the relative geometry of two cameras in one world frame."""
         turn = source.c2w[:3, :3].T
         # Cameras at one position have t = 0 exactly, whatever the origin.
-        t = mapped(reference.center - source.center, turn)
+        t = transform(reference.center - source.center, turn)
         return Relative(reference.K, source.K, product(turn, reference.c2w[:3, :3]), t)
 
     def reversed(self) -> Relative:
         """Return the geometry with reference and source exchanged."""
-        return Relative(self.K_src, self.K_ref, self.R.T, -mapped(self.t, self.R.T))
+        return Relative(self.K_src, self.K_ref, self.R.T, -transform(self.t, self.R.T))
 
     @property
     def infinity(self) -> np.ndarray:
@@ -54,7 +54,7 @@ class Relative:
     @property
     def epipole(self) -> np.ndarray:
         """Return the homogeneous shift [3] of a pixel in the source per unit of inverse depth."""
-        return mapped(self.t, self.K_src)
+        return transform(self.t, self.K_src)
 
     def project(
         self, pixels: np.ndarray, inverse_depth: np.ndarray | float
@@ -66,7 +66,7 @@ class Relative:
         """
         w = np.asarray(inverse_depth, np.float64)[..., None]
         infinity = self.infinity
-        a = mapped(pixels, infinity[:, :2]) + infinity[:, 2] + w * self.epipole
+        a = transform(pixels, infinity[:, :2]) + infinity[:, 2] + w * self.epipole
         ratio = a[..., 2]
         return a[..., :2] / np.where(np.abs(ratio) > 1e-9, ratio, 1e-9)[..., None], ratio
 
@@ -82,7 +82,7 @@ class Relative:
         F = self.fundamental()
         a = np.concatenate([ref, np.ones((len(ref), 1))], 1)
         b = np.concatenate([src, np.ones((len(src), 1))], 1)
-        Fa, Fb = mapped(a, F), mapped(b, F.T)
+        Fa, Fb = transform(a, F), transform(b, F.T)
         scale = np.sqrt((Fa[:, :2] ** 2).sum(1) + (Fb[:, :2] ** 2).sum(1))
         return (b * Fa).sum(1) / np.maximum(scale, 1e-12)
 
@@ -98,7 +98,7 @@ class Relative:
     def triangulate(self, ref: np.ndarray, src: np.ndarray) -> np.ndarray:
         """Compute the best inverse depths [M] of matches in the reference; may be negative."""
         infinity = self.infinity
-        a = mapped(ref, infinity[:, :2]) + infinity[:, 2]
+        a = transform(ref, infinity[:, :2]) + infinity[:, 2]
         e = self.epipole
         slope = e[:2] - src * e[2]
         offset = src * a[:, 2:] - a[:, :2]

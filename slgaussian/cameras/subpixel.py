@@ -52,11 +52,11 @@ def sharpen(
     warp = warp * (step * zoom)[:, None, None]
     fine = _level(step), _level(step * zoom)
     offsets = step[:, None, None] * grid
-    reference = _normalise(_sampled(levels[0], fine[0], a.points[i], offsets), weight)
+    reference = _normalise(_sample(levels[0], fine[0], a.points[i], offsets), weight)
     at, patches = initial.copy(), reference
     side = 2 * PATCH_RADIUS + 1
     for _ in range(ITERATIONS):
-        patches = _normalise(_sampled(levels[1], fine[1], at, grid @ warp.mT), weight)
+        patches = _normalise(_sample(levels[1], fine[1], at, grid @ warp.mT), weight)
         down, across = np.gradient(patches.reshape(-1, side, side), axis=(1, 2))
         slope = np.stack([across.reshape(len(at), -1), down.reshape(len(at), -1)], -1)
         jacobian = np.concatenate([slope, slope[..., :1] * grid, slope[..., 1:] * grid], -1)
@@ -86,7 +86,7 @@ def _level(step: np.ndarray) -> np.ndarray:
     return np.clip(np.round(np.log2(step)), 0, PYRAMID_LEVELS - 1).astype(int)
 
 
-def _sampled(
+def _sample(
     levels: Sequence[np.ndarray], level: np.ndarray, at: np.ndarray, offsets: np.ndarray
 ) -> np.ndarray:
     """Sample grey values float64 [M, S] at pixels [M, 2] plus offsets [M, S, 2], at levels [M]."""

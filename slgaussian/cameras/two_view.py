@@ -27,7 +27,7 @@ from slgaussian.cameras.lens_errors import (
     update,
     weigh,
 )
-from slgaussian.cameras.matches import Features, find_features, match
+from slgaussian.cameras.matches import LOWE_RATIO, Features, find_features, match
 from slgaussian.cameras.subpixel import sharpen
 from slgaussian.datasets.lens import lens_maps, unfold
 from slgaussian.io import short_repr
@@ -219,6 +219,7 @@ class PairPose:
         rivals: list of (float, TwoViews). Probability and solution of each assumption on lenses.
         deviations: float64 [2]. Standard deviations of the log focal lengths, if the distortion is
             unknown.
+        matches: (int [N], int [N]). All matches that pass :data:`LOWE_RATIO`, right or wrong.
     """
 
     first: Described
@@ -234,6 +235,7 @@ class PairPose:
     lenses: tuple[LensEvidence, LensEvidence] | None = None
     rivals: Sequence[tuple[float, TwoViews]] = ()
     deviations: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    matches: tuple[np.ndarray, np.ndarray] = (np.zeros(0, int), np.zeros(0, int))
 
     def of(self, mask: np.ndarray) -> PairPose:
         """Return the pose with the inliers restricted to ``mask``, bool [M]."""
@@ -252,19 +254,24 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     """
     i, j, ratios = match(a.features, b.features, POSE_LOWE_RATIO)
     order = np.argsort(ratios, kind="stable")
-    i, j = i[order], j[order]
-    pose = _pose_from_matches(a, b, i, j, prior)
+    i, j, reliable = i[order], j[order], ratios[order] < LOWE_RATIO
+
+    def find_pose(used: np.ndarray) -> PairPose:
+        pose, good = _pose_from_matches(a, b, i[used], j[used], prior), used & reliable
+        return replace(pose, matches=(i[good], j[good]))
+
+    pose = find_pose(np.ones(len(i), bool))
     moved = np.linalg.norm(a.features.points[i] - b.features.points[j], axis=1)
     still = moved < STILL_DISTANCE
     if pose.estimate.verdict != UNUSED or still.sum() < MIN_INLIERS or still.all():
         return pose
     # Marks on the photographs themselves agree with cameras that do not move.
-    scene = _pose_from_matches(a, b, i[~still], j[~still], prior)
+    scene = find_pose(~still)
     if scene.estimate.inliers < MIN_INLIERS or np.median(moved[~still]) < MIN_MOVED_DISTANCE:
         return pose
     if scene.estimate.verdict != UNUSED:
         return scene
-    return _refused(
+    return _refuse(
         pose,
         f"{still.sum()} of {len(i)} matches are at the same pixels in both, as the marks of a "
         "status bar or a watermark are, and the others do not determine the cameras",
@@ -297,7 +304,7 @@ def _pose_from_matches(
             "take the second photograph from a step sideways, with things at different distances",
         )
         # A shared crop or plane must fill one of the two photographs.
-        return _refused(
+        return _refuse(
             all_matches.of(flat),
             *(_flaw_of_points(all_matches.of(flat), MIN_PLANAR_COVER, max) or degenerate),
         )
@@ -312,7 +319,7 @@ def _pose_from_matches(
     if count < max(MIN_INLIERS, MIN_INLIER_SHARE * len(i)):
         return _refuse_few(pose)
     if (flaw := _flaw_of_points(pose, MIN_COVER, min)) is not None:
-        return _refused(pose, *flaw)
+        return _refuse(pose, *flaw)
     assert best.covariance is not None
     # Standard deviation of rotation or direction, over all axes together.
     uncertainty = float(np.degrees(np.sqrt(np.trace(best.covariance[:5, :5]))))
@@ -322,7 +329,7 @@ def _pose_from_matches(
     pose = replace(pose, estimate=measured, probability=probability)
     mostly_flat = flat.sum() > MAX_HOMOGRAPHY_SHARE * count
     if probability < (DOUBTFUL_PROBABILITY if mostly_flat else REFUSED_PROBABILITY):
-        return _refused(
+        return _refuse(
             pose,
             "different positions of the cameras explain the matches about as well, as happens with "
             "repeated patterns, flat things and little overlap",
@@ -331,7 +338,7 @@ def _pose_from_matches(
     open_position = f"the matches leave the position open by {uncertainty:.0f} degrees"
     if uncertainty > REFUSED_UNCERTAINTY:
         advice = "take photographs that share more, from a step farther apart"
-        return _refused(pose, open_position, advice)
+        return _refuse(pose, open_position, advice)
     doubts = []
     if probability < DOUBTFUL_PROBABILITY:
         doubts.append("another position of the cameras would explain the matches almost as well")
@@ -418,7 +425,7 @@ def _cover(points: np.ndarray, of: Described) -> float:
     return cv2.contourArea(cv2.convexHull(points.astype(np.float32))) / (height * width)
 
 
-def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
+def _refuse(pose: PairPose, reason: str, advice: str) -> PairPose:
     estimate = replace(pose.estimate, verdict=UNUSED, said=reason)
     return replace(pose, estimate=estimate, advice=advice)
 
@@ -429,15 +436,15 @@ def _refuse_few(pose: PairPose) -> PairPose:
     for item in (pose.first, pose.second):
         name, (height, width) = item.photograph.name, item.grey.shape
         if min(height, width) < MIN_SIDE:
-            return _refused(
+            return _refuse(
                 pose,
                 f"{name!r} has {width}x{height} pixels, too few to find points in",
                 f"give photographs of {MIN_SIDE} pixels or more on each side",
             )
         if item.grey.std() < BLANK_DEVIATION:
             look = "black" if item.grey.mean() < 16 else "blank"
-            return _refused(pose, f"{name!r} is {look}", "leave it out, or take it again")
-    return _refused(
+            return _refuse(pose, f"{name!r} is {look}", "leave it out, or take it again")
+    return _refuse(
         pose,
         f"too few points are found that both show ({pose.estimate.inliers} of {matches} matches "
         f"agree, expected {MIN_INLIERS} or more)",

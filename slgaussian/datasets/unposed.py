@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from slgaussian.datasets.photographs import (
 )
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
-from slgaussian.io import file_sha256
+from slgaussian.io import file_digest
 from slgaussian.scene import Sample, Scene, Size, View
 
 Place = str | Path
@@ -91,7 +92,10 @@ def _in_memory(images: Sequence[Any]) -> Scene:
         view = View(name, estimated.cameras[name], pixels)
         return undistort(view, lenses[name]()) if name in lenses else view
 
-    return Scene("images", estimated.cameras, read_view, estimation=estimated.as_json())
+    record = estimated.as_json()
+    return Scene(
+        "images", estimated.cameras, read_view, estimation=record, matches=estimated.matches
+    )
 
 
 def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
@@ -108,17 +112,17 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
     Raises:
         InputError: As :func:`photographs`.
     """
-    listed = _listed(path, only)
+    listed = _list_files(path, only)
     return posed(listed, find(listed))
 
 
 def files(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> list[Path]:
     """List the photographs of a scene, all of which influence the estimated cameras."""
-    listed = _listed(path, only)
+    listed = _list_files(path, only)
     return [*listed.values(), *(mask.file for mask in find_masks(listed).values())]
 
 
-def _listed(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
+def _list_files(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
     places = [path] if isinstance(path, Place) else path
     return named(places if only is None else [Path(places[0]) / name for name in only])
 
@@ -179,8 +183,8 @@ def find(files: Mapping[str, Path]) -> EstimatedCameras:
     """Estimate the cameras of photographs by name, cached by the files and their order."""
     masks = find_masks(files)
     try:
-        stamped = [(n, str(file), file_sha256(file), masks.get(n)) for n, file in files.items()]
-        digests = [file_sha256(mask.file) for mask in masks.values()]
+        stamped = [(n, str(file), file_digest(file), masks.get(n)) for n, file in files.items()]
+        digests = [file_digest(mask.file) for mask in masks.values()]
     except OSError as bad:
         raise InputError(
             f"{bad.filename}: cannot be read ({bad.strerror}); give the files of photographs"
@@ -232,7 +236,8 @@ def _photograph(image: Image.Image, name: str, mask: Mask | None = None) -> Phot
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
     """Return the scene of photographs by name with their estimated cameras."""
     name, record = folder_of(files).name or "photographs", estimated.as_json()
-    return scene_of(
+    scene = scene_of(
         name, estimated.cameras, files, "photographs", lenses=estimated.lenses(), upright=True,
         estimation=record,
     )  # fmt: skip
+    return replace(scene, matches=estimated.matches)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 from slgaussian.components.registry import load_component
 
 if TYPE_CHECKING:  # names of predictors are read where torch is not imported
-    from slgaussian.cameras.match_graph import MatchGraph
     from slgaussian.gaussians import Gaussians
     from slgaussian.scene import Sample
 
@@ -15,11 +14,11 @@ if TYPE_CHECKING:  # names of predictors are read where torch is not imported
 class GaussianPredictor(Protocol):
     """A callable from the context views of a sample to Gaussians."""
 
-    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Predict Gaussians in the world frame of the sample; targets must not be read.
 
-        Random numbers depend on ``seed`` and the content of the context views. ``graph`` holds
-        their matches; without it, a predictor that needs matches computes them.
+        Random numbers depend on ``seed`` and the content of the context views. A predictor that
+        needs matches takes those of :func:`slgaussian.cameras.match_graph.match_views`.
         """
 
 
@@ -34,9 +33,7 @@ class Depths(NamedTuple):
 class CountingPredictor(GaussianPredictor, Protocol):
     """A predictor that counts the depth candidates that it compares."""
 
-    def counted(
-        self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
-    ) -> tuple[Gaussians, Depths]:
+    def predict_with_counts(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
         """Predict as by a call, and count the depth candidates."""
 
 

@@ -53,7 +53,7 @@ class SweptView:
         return float(self.steps[1] - self.steps[0])
 
     @property
-    def known(self) -> np.ndarray:
+    def valid(self) -> np.ndarray:
         """Mask of answered and fixed pixels, bool [H, W]; all others are guessed."""
         return self.answered if self.fixed is None else self.answered | self.fixed
 

@@ -19,7 +19,7 @@ FEATHER_WIDTH = 16.0
 that no seam appears where its image ends."""
 
 
-def select_drawn(
+def select_pixels(
     graph: ViewGraph,
     inverse_depths: Sequence[np.ndarray],
     confirmed: Sequence[np.ndarray],
@@ -101,7 +101,7 @@ def blend(
             u, v = at.T
             gain = share * _border_weight(u, v, source.shape[1], source.shape[0])
             weight[y, x] += gain
-            total[y, x] = total[y, x] + gain[:, None] * _sampled(source, at - 0.5)
+            total[y, x] = total[y, x] + gain[:, None] * _sample(source, at - 0.5)
         mixed.append(total / weight[..., None])
     return mixed
 
@@ -112,7 +112,7 @@ def _border_weight(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.
     return np.minimum(inwards / FEATHER_WIDTH, 1).astype(np.float32)
 
 
-def _sampled(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _sample(image: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Sample an image float32 [H, W, 3] bilinearly at ``at`` [N, 2], float64 [N, 3]."""
     left, top = np.floor(at).astype(np.int64).T
     p, q = (at - np.floor(at)).astype(np.float32).T[..., None]

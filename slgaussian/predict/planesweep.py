@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.work_sharing import share_items
@@ -34,7 +33,7 @@ from slgaussian.predict.depth_hypotheses import (
 )
 from slgaussian.predict.depth_propagation import MAX_SPECKLE_SHARE, SweptView, propagate_depth
 from slgaussian.predict.exposure import color_gains
-from slgaussian.predict.fusion import blend, select_drawn
+from slgaussian.predict.fusion import blend, select_pixels
 from slgaussian.predict.pose_refinement import anchor_cameras
 from slgaussian.predict.sgm import aggregate, select_winners
 from slgaussian.predict.unproject import unproject
@@ -66,7 +65,7 @@ class PlaneSweep(PlaneSweepConfig):
     ``depth_candidates``.
     """
 
-    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Predict Gaussians in the world frame of ``sample``.
 
         The first are those of context pixels, in the order of ``source``, without surfaces that
@@ -78,16 +77,14 @@ class PlaneSweep(PlaneSweepConfig):
                 one, if near is not below far, if two views have no overlap within the range, or if
                 matches show that two views have no baseline or that their poses are exchanged.
         """
-        return self.counted(sample, seed, graph)[0]
+        return self.predict_with_counts(sample, seed)[0]
 
-    def counted(
-        self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
-    ) -> tuple[Gaussians, Depths]:
+    def predict_with_counts(self, sample: Sample, seed: int = 0) -> tuple[Gaussians, Depths]:
         """Predict as by a call, and count the depth candidates; raises as a call."""
         sample, frame = sample.localize()
         views = sample.context
         ranged = all(None not in (view.camera.near, view.camera.far) for view in views)
-        linked = link_views(views, graph or MatchGraph.of(views), ranged)
+        linked = link_views(sample, ranged)
         swept = sweep(self, sample, linked.links)
         depths = Depths(sum(len(s.steps) for s in swept), len(swept) * self.depth_candidates)
         return assemble(sample, linked, swept).place(frame), depths
@@ -114,7 +111,7 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
     cameras = anchor_cameras(given_cameras, linked.cameras, linked.closeness())
     visible = unproject(cameras, colors, depths, opacities)
     confirmed = [s.confirmed for s in swept]
-    drawn = np.ravel(select_drawn(linked, depths, confirmed, steps))
+    drawn = np.ravel(select_pixels(linked, depths, confirmed, steps))
     beyond = continue_surfaces(cameras, colors, depths, steps)
     visible, beyond = (
         part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (visible, beyond)
@@ -221,7 +218,7 @@ def _complete_depths(
         planes = fit_planes(sweep.inverse_depth, sweep.answered, sweep.step)
         witnesses = [(link.relative, swept[link.source].confirmed) for link in sources]
         filled = fill_depth(
-            sweep.inverse_depth, sweep.known, view.grey, planes, sweep.steps, witnesses
+            sweep.inverse_depth, sweep.valid, view.grey, planes, sweep.steps, witnesses
         )
         return weighted_median(filled, view.image, sweep.steps[0], sweep.step)
 

@@ -55,7 +55,7 @@ def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
     # Two axes orthogonal to the direction of translation.
     across = np.linalg.svd(direction[None])[2][1:]
 
-    def moved(step: np.ndarray) -> Relative:
+    def apply_step(step: np.ndarray) -> Relative:
         turned = direction + step[3:] @ across
         R = cv2.Rodrigues(step[:3])[0] @ prior.R
         return replace(prior, R=R, t=turned * (length / np.linalg.norm(turned)))
@@ -63,12 +63,12 @@ def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
     deviation = np.repeat([RELATIVE_ROTATION_STD, RELATIVE_DIRECTION_STD], [3, 2])
 
     def residuals(step: np.ndarray) -> np.ndarray:
-        return np.concatenate([moved(step).epipolar_distance(ref, src), step / deviation])
+        return np.concatenate([apply_step(step).epipolar_distance(ref, src), step / deviation])
 
     from scipy.optimize import least_squares  # slow to import, and needed only here
 
     fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=0.5, x_scale=deviation)
-    return moved(fit.x)
+    return apply_step(fit.x)
 
 
 def refine_cameras(
@@ -125,7 +125,7 @@ def refine_cameras(
         tolerance=TOLERANCE,
     ).bundle
     rotations = bundle.R.transpose(0, 2, 1)
-    return _posed(cameras, rotations, -(rotations @ bundle.t[:, :, None])[..., 0])
+    return _replace_poses(cameras, rotations, -(rotations @ bundle.t[:, :, None])[..., 0])
 
 
 def anchor_cameras(
@@ -147,10 +147,12 @@ def anchor_cameras(
     moves = np.array([b.center - a.center for a, b in zip(cameras, refined, strict=True)])
     turns, moves = turns - closeness @ turns, moves - closeness @ moves
     rotations = Rotation.from_rotvec(turns).as_matrix() @ R
-    return _posed(cameras, rotations, np.array([camera.center for camera in cameras]) + moves)
+    return _replace_poses(
+        cameras, rotations, np.array([camera.center for camera in cameras]) + moves
+    )
 
 
-def _posed(cameras: Sequence[Camera], R: np.ndarray, centers: np.ndarray) -> list[Camera]:
+def _replace_poses(cameras: Sequence[Camera], R: np.ndarray, centers: np.ndarray) -> list[Camera]:
     """Return the cameras with rotations ``R`` [V, 3, 3] (camera to world) and centres [V, 3]."""
     poses = np.tile(np.eye(4), (len(cameras), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = R, centers

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.check import COARSE_DISTANCE, agree
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.relative import Relative
 from slgaussian.checks import companion
 from slgaussian.errors import InputError
@@ -94,16 +94,14 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
         if not self.geometry.exists():
             raise InputError(f"precomputed geometry: there is no {str(self.geometry)!r}")
 
-    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Predict Gaussians in the world frame of ``sample``; the result ignores ``seed``."""
         assert self.geometry is not None  # checked by __init__
-        sample, frame = sample.localize()
-        views = sample.context
-        matches = graph or MatchGraph.of(views)
-        maps = find_maps(self.geometry, sample)
-        depths, confidences = _read(self.geometry, views, maps, agreeing(views, matches))
-        linked = link_views(views, matches, ranged=True)
-        swept, low = _swept(sample, linked, depths, confidences)
+        sample, frame = replace(sample, matches=match_views(sample)).localize()
+        maps, matches = find_maps(self.geometry, sample), agreeing(sample)
+        depths, confidences = _read(self.geometry, sample.context, maps, matches)
+        linked = link_views(sample, ranged=True)
+        swept, low = _cross_check_all(sample, linked, depths, confidences)
         gaussians = assemble(sample, linked, swept)
         arrays = gaussians.to_arrays()
         guessed = arrays["guessed"] | low.ravel()[arrays["source"]]
@@ -113,7 +111,7 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
 def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
     """Find and read the map of every context view; InputError as :class:`PrecomputedGeometry`."""
     if place.is_file() and place.suffix == ".npz":
-        return _maps_of(place, sample.context)
+        return _select_maps(place, sample.context)
     if not place.is_dir():
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
     folders = (place / name for name in (sample.scene, FRAME_NUMBERS.sub("", sample.scene)))
@@ -121,7 +119,7 @@ def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
     return [_find_map(place, view) for view in sample.context]
 
 
-def _maps_of(file: Path, views: Sequence[View]) -> list[DepthMap]:
+def _select_maps(file: Path, views: Sequence[View]) -> list[DepthMap]:
     stored = read_geometry(file)
     others = [name for view in views for name in view.namesakes]
     numbers = stored.numbers([view.name for view in views], others)
@@ -144,16 +142,17 @@ def _find_map(folder: Path, view: View) -> DepthMap:
             f"one of {', '.join(DEPTH_SUFFIXES)}"
         )
     if file.suffix == ".npz":
-        return _maps_of(file, [view])[0]
+        return _select_maps(file, [view])[0]
     suffixes = [f"_conf{suffix}" for suffix in DEPTH_SUFFIXES]
     beside = companion(folder, view.name, suffixes, view.namesakes)
     confidence = None if beside is None else read_map(beside, byte=True)
     return DepthMap(str(file), known_depth(read_map(file)), confidence)
 
 
-def agreeing(views: Sequence[View], graph: MatchGraph) -> Matches:
+def agreeing(sample: Sample) -> Matches:
     """Return the matches of each pair that fit a fundamental matrix, independent of the cameras."""
-    bound = COARSE_DISTANCE * float(np.hypot(*views[0].grey.shape))
+    graph = match_views(sample)
+    bound = COARSE_DISTANCE * float(np.hypot(*sample.context[0].grey.shape))
     matches_of_pair = {}
     for pair in graph.matches:
         a, b = graph.points(*pair)
@@ -285,7 +284,7 @@ def choose_reading(
     tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
     best_error = min(fitted.error for _, fitted in tried)
     chosen, fitted = next(one for one in tried if BETTER_ERROR_RATIO * one[1].error <= best_error)
-    blank = fit(chosen[1], [_powered(depth, 0) for depth in chosen[2]], matches)
+    blank = fit(chosen[1], [_raise_depth(depth, 0) for depth in chosen[2]], matches)
     fitted = replace(fitted, blank=blank.share)
     if fitted.count < 2 * MIN_MATCHES:
         warnings.warn(
@@ -298,7 +297,7 @@ def choose_reading(
     advice = ""
     if not is_confirmed:
         inverse = min(
-            (fit(cameras, [_powered(depth, -1) for depth in depths], matches)
+            (fit(cameras, [_raise_depth(depth, -1) for depth in depths], matches)
              for _, cameras, depths in readings),
             key=lambda one: one.error,
         )  # fmt: skip
@@ -322,7 +321,7 @@ def choose_reading(
     return chosen, fitted
 
 
-def _powered(depth: Depth, power: int) -> Depth:
+def _raise_depth(depth: Depth, power: int) -> Depth:
     """Return a function that looks up a power of the depth, 0 where it is unknown."""
 
     def look_up(points: np.ndarray) -> np.ndarray:
@@ -391,7 +390,7 @@ def _view_to_map(view: View, depth_map: DepthMap) -> dict[str, np.ndarray]:
     return ways
 
 
-def _swept(
+def _cross_check_all(
     sample: Sample,
     linked: ViewGraph,
     depths: Sequence[np.ndarray],

@@ -45,7 +45,7 @@ def unproject(
     Returns:
         Gaussians: V * H * W of them in world space, spherical harmonics of degree 0.
     """
-    parts = [_discs_of(*view) for view in zip(cameras, inverse_depths, strict=True)]
+    parts = [_make_discs(*view) for view in zip(cameras, inverse_depths, strict=True)]
     means, scales, quats = (np.concatenate(p) for p in zip(*parts, strict=True))
     rgb = np.concatenate([c.reshape(-1, 3) for c in colors])
     return Gaussians.from_arrays(
@@ -60,7 +60,7 @@ def unproject(
     )
 
 
-def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
+def _make_discs(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
     """Means [H * W, 3], scales [H * W, 3] and quaternions wxyz [H * W, 4], float32, world space.
 
     Local axes of a disc: across the line of sight, along the slope, and the normal.
@@ -68,15 +68,15 @@ def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ..
     depth, R = 1 / inverse_depth.ravel().astype(np.float64), camera.c2w[:3, :3]
     n = np.ascontiguousarray(normals(inverse_depth, camera.K).reshape(-1, 3).T)
     row, column = np.indices(inverse_depth.shape).reshape(2, -1) + 0.5
-    rays = _turned(np.linalg.inv(camera.K), np.stack([column, row, np.ones(len(depth))]))
-    means = camera.center[:, None] + depth * _turned(R, rays)
+    rays = _rotate(np.linalg.inv(camera.K), np.stack([column, row, np.ones(len(depth))]))
+    means = camera.center[:, None] + depth * _rotate(R, rays)
     rays /= _length(rays)
     across = np.cross(n, rays, axis=0)
     # Where the surface faces the camera any axis in its plane will do.
     facing = _length(across) < 1e-6
     across[:, facing] = np.cross(n[:, facing], [[0.0], [1.0], [0.0]], axis=0)
     across /= _length(across)
-    axes = np.stack([_turned(R, axis) for axis in (across, np.cross(n, across, axis=0), n)], 1)
+    axes = np.stack([_rotate(R, axis) for axis in (across, np.cross(n, across, axis=0), n)], 1)
     cosine = np.where(facing, 1.0, np.abs((n * rays).sum(0)))
     width = FOOTPRINT / np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * depth
     scales = np.stack([width, width / np.maximum(cosine, MIN_COSINE), width * THICKNESS])
@@ -85,7 +85,7 @@ def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ..
     return tuple(part.T.astype(np.float32, order="C") for part in parts)
 
 
-def _turned(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _rotate(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Multiply a matrix by vectors [3, N], without BLAS: bitwise equal on any CPU."""
     x, y, z = vectors
     return R[:, :1] * x + R[:, 1:2] * y + R[:, 2:] * z

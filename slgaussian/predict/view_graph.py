@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from slgaussian.cameras.match_graph import MatchGraph, neighbours
+from slgaussian.cameras.match_graph import MatchGraph, Verified, match_views, neighbours
 from slgaussian.cameras.relative import Relative
-from slgaussian.copies import are_copies
 from slgaussian.errors import InputError, listed
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.pose_refinement import (
@@ -89,8 +88,8 @@ class ViewGraph:
         return weights / weights.sum(1, keepdims=True)
 
 
-def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGraph:
-    """Refine inaccurate cameras and choose the sources of each view from the matches.
+def link_views(sample: Sample, ranged: bool) -> ViewGraph:
+    """Refine inaccurate cameras and choose the sources of each context view from the matches.
 
     Pairs of views with too few matches or without parallax are not linked. A view without any
     matches is linked with the nearest views by its pose alone if its depth range is given
@@ -99,7 +98,8 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     Raises:
         InputError: If a view has no link.
     """
-    matches, rejected = _verified_matches(views, graph)
+    views, graph = sample.context, match_views(sample)
+    matches, rejected = graph.verified or verify(views, graph)
     points = graph.keypoints
     cameras = [view.camera for view in views]
     dense = {
@@ -123,7 +123,7 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
             warnings.warn(
                 f"{names}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
                 "which the given poses alone must find; leave out what shows another place "
-                "(slgaussian.predict.view_graph.select_usable)",
+                "(slgaussian.build.select_usable)",
                 stacklevel=3,
             )
         for i, j in neighbours(views, UNMATCHED_LINKS):
@@ -144,48 +144,13 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     return ViewGraph(cameras, [[link for _, link in sources[:MAX_SOURCES]] for sources in best])
 
 
-def select_usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
-    """Drop context views that are duplicates or that match no other view.
+def verify(views: Sequence[View], graph: MatchGraph) -> Verified:
+    """Return the matches of every pair that fit its poses and have parallax, and why others do not.
 
-    A duplicate has the picture and camera of an earlier view, and would count as independent
-    evidence. Views without matches remain if there are only two, or if more than half would go.
-
-    Returns:
-        graph: MatchGraph. Of the remaining context views.
-        left_out: {view name: reason}
+    Pairs are neighbouring cameras of the graph.
     """
-    views: list[View] = []
-    left_out = {}
-    for view in sample.context:
-        same = [earlier.name for earlier in views if _same(earlier, view)]
-        if same:
-            left_out[view.name] = f"it is the same picture as {same[0]}, from the same place"
-        else:
-            views.append(view)
-    graph = MatchGraph.of(views)
-    if len(views) > 2:
-        matched = {i for pair in _verified_matches(views, graph)[0] for i in pair}
-        if max(3, len(views) / 2) <= len(matched) < len(views):
-            reason = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
-            left_out |= {view.name: reason for i, view in enumerate(views) if i not in matched}
-            views = [views[i] for i in sorted(matched)]
-            graph = MatchGraph.of(views)  # the neighbours of a view are different ones now
-    return (replace(sample, context=tuple(views)) if left_out else sample), graph, left_out
-
-
-def _same(a: View, b: View) -> bool:
-    same_camera = np.allclose(a.camera.c2w, b.camera.c2w) and np.allclose(a.camera.K, b.camera.K)
-    return bool(
-        same_camera and (np.array_equal(a.image, b.image) or are_copies(a.thumbnail, b.thumbnail))
-    )
-
-
-def _verified_matches(
-    views: Sequence[View], graph: MatchGraph
-) -> tuple[dict[tuple[int, int], tuple[np.ndarray, np.ndarray]], dict[tuple[int, int], str]]:
-    """Return the feature indices of every pair with parallax, and why others have none."""
     matches, rejected = {}, {}
-    for i, j in neighbours(views):
+    for i, j in sorted(graph.matches.keys() & {*neighbours(views)}):
         initial = Relative.between(views[i].camera, views[j].camera)
         p, q = graph.matches[i, j]
         a, b = graph.points(i, j)

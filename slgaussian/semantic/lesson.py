@@ -85,6 +85,16 @@ class Lesson:
         cameras.append(np.stack([camera.c2w for camera in self.cameras]))
         return content_of(self.labels, self.targets, *cameras)
 
+    def counts(self) -> dict[str, Any]:
+        """Return numbers of Gaussians and objects, and shares of unlabelled pixels, by column."""
+        return {
+            "gaussians": len(self.gaussians),
+            "objects": int((np.unique(self.labels) > 0).sum()),
+            "shared": int((np.unique(self.targets) > 0).sum()),
+            "unlabelled_context": float((self.labels == 0).mean()),
+            "unlabelled_target": float((self.targets == 0).mean()),
+        }
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name, in the layout of ``data_specs/lesson.toml``."""
         geometry = self.gaussians.to_arrays()

@@ -8,7 +8,7 @@ import skimage.data
 from scipy.spatial.transform import Rotation
 
 from slgaussian.cameras.two_view import Photograph
-from tests.cameras.rendered_rooms import RenderedRoom, encoded, looking, pinhole
+from tests.cameras.rendered_rooms import RenderedRoom, encode_srgb, looking, pinhole
 
 WIDTH, HEIGHT = 640, 480
 FOCAL = 0.9 * WIDTH
@@ -32,12 +32,12 @@ def motorcycle() -> tuple[np.ndarray, np.ndarray]:
 def room(seed: int, x: float, yaw: float = 0.0) -> np.ndarray:
     """Render a room from ``x`` metres right of its middle, turned right by degrees."""
     c2w = looking(np.array([x, -3.1, 1.4]))
-    c2w[:3, :3] = c2w[:3, :3] @ turned(y=yaw)
+    c2w[:3, :3] = c2w[:3, :3] @ rotation(y=yaw)
     light = RenderedRoom.of(seed).light(pinhole(0.9 * 480, 480, 360, c2w))
-    return with_noise(255 * encoded(light), 100 + round(50 * x) + round(yaw))
+    return with_noise(255 * encode_srgb(light), 100 + round(50 * x) + round(yaw))
 
 
-def turned(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
     """Return a rotation [3, 3] by degrees about the axes x, then y, then z."""
     return Rotation.from_euler("xyz", (x, y, z), degrees=True).as_matrix()
 
@@ -70,7 +70,7 @@ def facade(R: np.ndarray, center: tuple[float, float, float], seed: int) -> np.n
     rng = np.random.default_rng(5)
     size, tiles = 160, 17
 
-    def tiled(base: float, spread: float) -> np.ndarray:
+    def tile(base: float, spread: float) -> np.ndarray:
         coarse = rng.normal(0, spread, (20, 20, 3))
         fine = cv2.resize(coarse, (size, size), interpolation=cv2.INTER_CUBIC)
         return np.tile(base + fine, (tiles, tiles, 1))
@@ -78,7 +78,7 @@ def facade(R: np.ndarray, center: tuple[float, float, float], seed: int) -> np.n
     hole = np.zeros((size, size))
     hole[40:130, 35:125] = 1
     hole[82:88, :] = 0
-    wall, panes = tiled(170, 25), tiled(90, 35)
+    wall, panes = tile(170, 25), tile(90, 35)
     near = render_plane(np.dstack([wall, np.tile(hole, (tiles, tiles))]), size, R, center, 4.0)
     through = near[..., 3:]
     far = render_plane(panes, size, R, center, 4.25)
@@ -102,7 +102,8 @@ def _other_exposure() -> list[Photograph]:
 
 def _plane() -> list[Photograph]:
     return photographs(
-        poster(turned(x=5, y=12), (-0.6, 0.0, 0.0), 2), poster(turned(y=-10, z=4), (0.6, 0.1, 0), 3)
+        poster(rotation(x=5, y=12), (-0.6, 0.0, 0.0), 2),
+        poster(rotation(y=-10, z=4), (0.6, 0.1, 0), 3),
     )
 
 
@@ -117,11 +118,11 @@ def _common_corner() -> list[Photograph]:
 def _facade() -> list[Photograph]:
     """Move the second camera by more than a window's width."""
     return photographs(
-        facade(turned(y=3), (-0.55, 0.0, 0.0), 4), facade(turned(y=-3), (0.55, 0.0, 0.5), 5)
+        facade(rotation(y=3), (-0.55, 0.0, 0.0), 4), facade(rotation(y=-3), (0.55, 0.0, 0.5), 5)
     )
 
 
-def _blurred() -> list[Photograph]:
+def _blur() -> list[Photograph]:
     return photographs(*(cv2.GaussianBlur(room(5, x), (0, 0), 7) for x in (-0.3, 0.3)))
 
 
@@ -130,7 +131,7 @@ REFUSED = {
     "other exposure": (_other_exposure, "same picture as"),
     "pure rotation": (lambda: photographs(room(5, 0.0), room(5, 0.0, yaw=9.0)), "sideways"),
     "plane": (_plane, "flat"),
-    "blur": (_blurred, "blur|few|found"),
+    "blur": (_blur, "blur|few|found"),
     "common corner": (_common_corner, "part|few"),
     "two rooms": (lambda: photographs(room(3, -0.3), room(5, 0.3)), "overlap|place|few|found"),
     "repeated windows": (_facade, "repeat|flat"),

@@ -59,7 +59,7 @@ def pinhole(focal: float, width: int, height: int, c2w: np.ndarray) -> Camera:
     return Camera(K, c2w, width, height)
 
 
-def encoded(light: np.ndarray) -> np.ndarray:
+def encode_srgb(light: np.ndarray) -> np.ndarray:
     """Encode linear light, clipped, as sRGB in [0, 1] (IEC 61966-2-1)."""
     light = np.clip(light, 0, 1)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

@@ -54,7 +54,7 @@ def reprojection(bundle: Bundle) -> np.ndarray:
     return uv + bundle.centers[bundle.view] - bundle.xy
 
 
-def perturbed(bundle: Bundle, seed: int, sigma: float = 0.02) -> Bundle:
+def perturb(bundle: Bundle, seed: int, sigma: float = 0.02) -> Bundle:
     """Perturb everything but the observations and the gauge."""
     rng = np.random.default_rng(seed)
     views = len(bundle.R)
@@ -74,7 +74,7 @@ def perturbed(bundle: Bundle, seed: int, sigma: float = 0.02) -> Bundle:
     )
 
 
-def stepped(bundle: Bundle, step: np.ndarray) -> Bundle:
+def apply_step(bundle: Bundle, step: np.ndarray) -> Bundle:
     """Apply a step of the cameras [6 V + G], in the order of the covariance."""
     poses, logs = np.split(step, [6 * len(bundle.R)])
     turns, moves = np.split(poses.reshape(-1, 6), 2, axis=1)
@@ -94,7 +94,7 @@ def rotation_error(bundle: Bundle, truth: Bundle) -> float:
     return float(np.degrees(error.magnitude().max()))
 
 
-def centers_of(bundle: Bundle) -> np.ndarray:
+def compute_centers(bundle: Bundle) -> np.ndarray:
     return -np.einsum("vji,vj->vi", bundle.R, bundle.t)
 
 
@@ -127,9 +127,9 @@ def reference_cost(bundle: Bundle, scale: float) -> float:
 )
 def test_cost_equals_the_minimum_of_scipy(views, points, outliers, lenses, posed):
     truth = true_bundle(views, points, 3, outliers=outliers, lenses=lenses, sigma=0.3)
-    start = perturbed(truth, 4)
+    start = perturb(truth, 4)
     if posed:
-        prior = PosePrior(start.R, centers_of(start), 0.01, np.array([0.01, 0.02, 0.03]))
+        prior = PosePrior(start.R, compute_centers(start), 0.01, np.array([0.01, 0.02, 0.03]))
         start = replace(start, poses=prior)
     result = adjust(start, scale=1.0, iterations=200, tolerance=1e-13)
     assert result.cost == pytest.approx(reference_cost(result.bundle, 1.0), rel=1e-6, abs=1e-6)
@@ -144,10 +144,10 @@ def test_cost_equals_the_minimum_of_scipy(views, points, outliers, lenses, posed
 )
 @example(3, 1, 1, False, 2**31 - 1)  # no point is observed
 def test_derivatives_match_central_differences(views, points, lenses, posed, seed):
-    start = perturbed(true_bundle(views, points, seed, lenses=lenses, sigma=0.3), seed)
+    start = perturb(true_bundle(views, points, seed, lenses=lenses, sigma=0.3), seed)
     start = replace(start, points=homogeneous(start.points))
     if posed:
-        prior = PosePrior(start.R, centers_of(start) + 0.1, 0.1, np.linspace(0.1, 0.3, views))
+        prior = PosePrior(start.R, compute_centers(start) + 0.1, 0.1, np.linspace(0.1, 0.3, views))
         start = replace(start, poses=prior)
     problem = module._Problem(start, 1.0)
     state = problem.project(start)
@@ -155,7 +155,7 @@ def test_derivatives_match_central_differences(views, points, lenses, posed, see
     count = 6 * views + lenses
 
     def project(step):
-        return problem.project(stepped(start, step))
+        return problem.project(apply_step(start, step))
 
     columns = problem.columns[start.view][:, :, None] == np.arange(count)
     expected = central_differences(lambda step: project(step).residuals, count)
@@ -177,14 +177,14 @@ def test_pose_prior_is_in_deviations_and_its_derivatives_match_central_differenc
     turn, move = 0.02, np.array([0.1, 0.3, 0.5])
     deviations = np.random.default_rng(2).normal(0, 1, (3, 6))
     R = Rotation.from_rotvec(deviations[:, :3] * turn).as_matrix() @ truth.R
-    t = -np.einsum("vij,vj->vi", R, centers_of(truth) + deviations[:, 3:] * move[:, None])
-    prior = PosePrior(truth.R, centers_of(truth), turn, move)
+    t = -np.einsum("vij,vj->vi", R, compute_centers(truth) + deviations[:, 3:] * move[:, None])
+    prior = PosePrior(truth.R, compute_centers(truth), turn, move)
     np.testing.assert_allclose(prior.pull(R, t)[0], deviations, atol=1e-9)
     # At the prior itself, its rotation vector is the camera's step.
     _, slopes = prior.pull(truth.R, truth.t)
 
     def pull(step):
-        moved = stepped(truth, np.append(np.tile(step, 3), 0))
+        moved = apply_step(truth, np.append(np.tile(step, 3), 0))
         return prior.pull(moved.R, moved.t)[0]
 
     np.testing.assert_allclose(slopes, central_differences(pull, 6), atol=1e-5)
@@ -192,7 +192,7 @@ def test_pose_prior_is_in_deviations_and_its_derivatives_match_central_differenc
 
 def test_exact_observations_restore_the_truth(monkeypatch):
     truth = true_bundle(4, 80, 1, noise=0.0, lenses=2)
-    start = perturbed(truth, 2)
+    start = perturb(truth, 2)
     for chunk in (module._CHUNK, 500):  # all points at once, and in pieces
         monkeypatch.setattr(module, "_CHUNK", chunk)
         result = adjust(start, iterations=100, tolerance=1e-14).bundle
@@ -216,7 +216,7 @@ def test_points_near_infinity_converge():
         focal_sigma=np.zeros(1),
     )
     # Only directions of the far points are known: they start near, one behind the camera.
-    start = perturbed(both, 6, 0.01)
+    start = perturb(both, 6, 0.01)
     start.points[60:] *= 20 / start.points[60:, 2:]
     start.points[60] *= -100
     result = adjust(start)
@@ -227,7 +227,7 @@ def test_points_near_infinity_converge():
 
 def test_thirty_percent_of_outliers_are_rejected():
     truth = true_bundle(2, 400, 7, outliers=0.3, sigma=0.3)
-    result = adjust(perturbed(truth, 8, 0.01))
+    result = adjust(perturb(truth, 8, 0.01))
     assert rotation_error(result.bundle, truth) < 0.5
     a, b = (bundle.t[1] / np.linalg.norm(bundle.t[1]) for bundle in (result.bundle, truth))
     assert a @ b > np.cos(np.radians(1.5))
@@ -247,7 +247,7 @@ def test_uncertain_distance_does_not_count_as_uncertain_direction():
 
 def test_gauge_and_fixed_focal_lengths_stay():
     truth = replace(true_bundle(3, 40, 12, lenses=3), focal_sigma=np.array([0.0, 0.1, np.inf]))
-    result = adjust(perturbed(truth, 13))
+    result = adjust(perturb(truth, 13))
     assert result.bundle.focals[0] == 600 != result.bundle.focals[1]
     assert np.array_equal(result.bundle.R[0], np.eye(3))
     assert not result.bundle.t[0].any()

@@ -8,10 +8,9 @@ import pytest
 from slgaussian import datasets
 from slgaussian.build import predict
 from slgaussian.cameras.check import check_pairs
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, camera_doubt, measure
-from slgaussian.components.method import Method
 from slgaussian.geometry import SceneGeometry, SeenView
+from slgaussian.predict import load_predictor
 from slgaussian.scene import Camera, Sample, View
 from tests.cameras.walls import FAR, two_rows
 
@@ -24,24 +23,24 @@ def room() -> Sample:
     return scene.sample(list(scene.cameras))
 
 
-def quality_of(sample: Sample, depths: np.ndarray) -> Quality:
+def measure_quality(sample: Sample, depths: np.ndarray) -> Quality:
     geometry = SceneGeometry(tuple(map(SeenView, sample.context, depths)))
-    return measure(geometry, check_pairs(sample.context, MatchGraph.of(sample.context)))[0]
+    return measure(geometry, check_pairs(sample))[0]
 
 
 def test_true_depth_is_confirmed_and_wrong_or_missing_depth_is_not(room):
     depths = np.stack([view.depth for view in room.context])
-    good = quality_of(room, depths)
+    good = measure_quality(room, depths)
     assert good.camera_confidence(0.95) > 0.95
     assert 0.7 < good.overlap < 1 and 0.8 * good.overlap < good.confirmed <= 1
     assert good.clash < 0.1 and good.verdict().level == "good"
     wrong = depths.copy()
     wrong[1] *= 1.1
-    poor = quality_of(room, wrong)
+    poor = measure_quality(room, wrong)
     assert poor.confirmed < 0.1 and poor.verdict().level == "poor"
     half = depths.copy()
     half[0, :, :108] = 0  # Transparent pixels are not counted, and confirm none of the other view.
-    partial = quality_of(room, half)
+    partial = measure_quality(room, half)
     assert partial.overlap > 0.7 and partial.confirmed < good.confirmed
 
 
@@ -55,7 +54,7 @@ def test_overlap_of_a_plane_matches_its_disparity(room):
         for view, c2w in zip(room.context, (np.eye(4), right), strict=True)
     ]
     geometry = SceneGeometry(tuple(SeenView(view, depth) for view in views))
-    checks = check_pairs(room.context, MatchGraph.of(room.context))
+    checks = check_pairs(room)
     quality, confirmed = measure(geometry, checks)
     assert confirmed[0, :, 25:].all() and not confirmed[0, :, :25].any()
     assert quality.overlap == pytest.approx(0.75, abs=0.011)
@@ -64,14 +63,14 @@ def test_overlap_of_a_plane_matches_its_disparity(room):
 
 def test_views_are_judged_by_those_they_overlap_rather_than_the_nearest():
     depths = np.full((6, 80, 240), FAR, np.float32)
-    quality = quality_of(two_rows(), depths)
+    quality = measure_quality(two_rows(), depths)
     assert quality.judged and quality.explained > 0.9 and quality.matches > 200
     assert quality.angle == pytest.approx(10.6, abs=0.5) and quality.turn == 0
     assert quality.overlap == pytest.approx(0.5, abs=0.01) and quality.apart == 0
     assert quality.confirmed == pytest.approx(4 / 6, abs=0.01)  # half at the ends, all between
     assert quality.verdict().level == "good"
     depths[[0, 5]] = FAR / 3  # so near that they project outside of all other views
-    quality = quality_of(two_rows(), depths)
+    quality = measure_quality(two_rows(), depths)
     assert quality.overlap == pytest.approx(0.5, abs=0.01) and quality.apart == 2
     assert quality.verdict().level != "good"
 
@@ -114,7 +113,7 @@ def test_masked_pixels_have_no_depth_and_contradict_nothing(room):
     opaque = np.arange(216) < np.full((156, 1), 108)
     first = replace(room.context[0], opaque=opaque, image=room.context[0].image * opaque[..., None])
     sample = replace(room, context=(first, room.context[1]))
-    predicted = predict(sample, MatchGraph.of(sample.context), Method().predictor, 0)
+    predicted = predict(sample, load_predictor(), 0)
     assert not predicted.geometry.depths[0][~opaque].any()
     assert (predicted.geometry.depths[0][opaque] > 0).mean() > 0.9
     assert predicted.quality.clash < 0.1
@@ -124,15 +123,14 @@ def test_masked_pixels_have_no_depth_and_contradict_nothing(room):
 def test_poses_of_other_photographs_are_the_reason_of_a_poor_verdict(real_data, first):
     scene = datasets.load("llff", real_data / "fern")
     names = list(scene.cameras)
-    views = scene.sample(names[first : first + 2]).context
+    sample = scene.sample(names[first : first + 2])
     shifted = [scene.cameras[name] for name in names[first - 1 : first + 1]]
     wrong = [
         replace(view, camera=replace(view.camera, c2w=camera.c2w))
-        for view, camera in zip(views, shifted, strict=True)
+        for view, camera in zip(sample.context, shifted, strict=True)
     ]
-    graph = MatchGraph.of(views)
-    assert check_pairs(views, graph)[0].precise > 0.9
-    assert check_pairs(wrong, graph)[0].precise < 0.3
+    assert check_pairs(sample)[0].precise > 0.9
+    assert check_pairs(replace(sample, context=tuple(wrong)))[0].precise < 0.3
     poor = replace(GOOD, agreement=0.2, clash=0.4)
     assert "something moved" in poor.verdict().reason
     doubted = replace(poor, contradicted=True)

@@ -11,18 +11,17 @@ from hypothesis.extra import numpy as arrays
 
 from slgaussian import datasets
 from slgaussian.build import predict
-from slgaussian.cameras.check import COARSE_DISTANCE, agree, angles, check_pairs, explained, refuse
-from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.components.method import Method
+from slgaussian.cameras.check import COARSE_DISTANCE, agree, angles, check_pairs, explain, refuse
 from slgaussian.errors import InputError
+from slgaussian.predict import load_predictor
 from slgaussian.scene import Camera, Estimated, Sample
 from tests.cameras.walls import two_rows, views_of_wall
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def checked(sample):
-    checks = check_pairs(sample.context, MatchGraph.of(sample.context))
+def run_check(sample):
+    checks = check_pairs(sample)
     refuse(sample.scene, checks)
     return checks
 
@@ -33,13 +32,13 @@ def room() -> Sample:
     return scene.sample(list(scene.cameras))
 
 
-def posed(sample: Sample, *cameras: Camera) -> Sample:
+def replace_cameras(sample: Sample, *cameras: Camera) -> Sample:
     views = zip(sample.context, cameras, strict=True)
     return replace(sample, context=tuple(replace(v, camera=c) for v, c in views))
 
 
-def changed(sample: Sample, change) -> Sample:
-    return posed(sample, *(change(view.camera) for view in sample.context))
+def change_cameras(sample: Sample, change) -> Sample:
+    return replace_cameras(sample, *(change(view.camera) for view in sample.context))
 
 
 def focal(camera: Camera, factor: float) -> Camera:
@@ -48,7 +47,7 @@ def focal(camera: Camera, factor: float) -> Camera:
     return replace(camera, K=K)
 
 
-def turned(camera: Camera, degrees: float) -> Camera:
+def turn(camera: Camera, degrees: float) -> Camera:
     step = np.eye(4)
     step[:3, :3] = cv2.Rodrigues(np.radians(degrees) * np.array([0.0, 0.6, 0.8]))[0]
     return replace(camera, c2w=camera.c2w @ step)
@@ -58,12 +57,12 @@ def turned(camera: Camera, degrees: float) -> Camera:
 def test_near_and_wide_pairs_are_not_refused(seed, baseline):
     settings = {"seed": seed, "views": 2, "height": 208, "width": 288, "baseline": baseline}
     scene = datasets.load("procedural", **settings)
-    (check,) = checked(scene.sample(list(scene.cameras)))
+    (check,) = run_check(scene.sample(list(scene.cameras)))
     assert check.coarse > 0.45 and not check.refuted
 
 
 def test_check_of_a_true_pair(room):
-    (check,) = checked(room)
+    (check,) = run_check(room)
     assert check.views == ("view_00", "view_01") and check.judged and check.correction is None
     assert check.coarse > 0.7 and check.agreeing > 100
     assert check.pixels == pytest.approx(5.33, abs=0.01)
@@ -87,29 +86,29 @@ def test_check_of_a_true_pair(room):
 )
 def test_usual_mistake_is_refused_with_advice(room, mistake, advice):
     with pytest.raises(InputError, match="'view_00' and 'view_01': the cameras explain") as error:
-        checked(changed(room, mistake))
+        run_check(change_cameras(room, mistake))
     assert advice in str(error.value) and "procedural_0" in str(error.value)
 
 
 def test_advice_differs_between_given_and_estimated_cameras(room):
-    wrong = changed(room, lambda c: focal(c, 3))
-    graph, predictor = MatchGraph.of(wrong.context), Method().predictor
+    wrong = change_cameras(room, lambda c: focal(c, 3))
+    predictor = load_predictor()
     with pytest.raises(InputError, match="`slgaussian field` without --cameras finds them"):
-        predict(wrong, graph, predictor, 0)
+        predict(wrong, predictor, 0)
     guess = Estimated((0.9, 1.1), "guess", 0.5)
-    wrong = changed(wrong, lambda c: replace(c, estimated=guess))
+    wrong = change_cameras(wrong, lambda c: replace(c, estimated=guess))
     with pytest.raises(InputError, match=r"that were found explain .*give their cameras") as error:
-        predict(wrong, graph, predictor, 0)
+        predict(wrong, predictor, 0)
     assert "without --cameras" not in str(error.value)
 
 
 def test_exchanged_and_turned_poses_are_refused(room):
     a, b = (view.camera for view in room.context)
     with pytest.raises(InputError, match="the two poses are exchanged"):
-        checked(posed(room, b, a))
+        run_check(replace_cameras(room, b, a))
     with pytest.raises(InputError, match="no usual mistake explains it"):
-        checked(posed(room, a, turned(b, 12)))
-    (check,) = checked(posed(room, a, turned(b, 0.5)))  # half a degree off passes
+        run_check(replace_cameras(room, a, turn(b, 12)))
+    (check,) = run_check(replace_cameras(room, a, turn(b, 0.5)))  # half a degree off passes
     assert check.coarse > 0.6
 
 
@@ -122,12 +121,12 @@ def test_photographs_without_reliable_matches_are_not_judged(room, kind):
             image = rng.integers(0, 256, image.shape, np.uint8)
         image[number, 0] = 255  # Identical images would be refused.
         views.append(replace(view, image=image, camera=room.context[1 - number].camera))
-    (check,) = checked(replace(room, context=tuple(views)))
+    (check,) = run_check(replace(room, context=tuple(views)))
     assert not check.judged and not check.refuted
 
 
 def test_views_are_checked_with_those_they_overlap_rather_than_the_nearest():
-    checks = checked(two_rows())
+    checks = run_check(two_rows())
     assert [check.views for check in checks] == [("0", "2"), ("1", "3"), ("2", "4"), ("3", "5")]
     assert all(check.judged and check.coarse > 0.9 for check in checks)
 
@@ -135,11 +134,11 @@ def test_views_are_checked_with_those_they_overlap_rather_than_the_nearest():
 def test_exchanged_poses_of_distant_views_are_refused():
     """By its wrong pose, each view stands among views that do not overlap with it."""
     walk = views_of_wall([(float(k), 0.0) for k in range(10)])
-    checked(walk)
+    run_check(walk)
     cameras = [view.camera for view in walk.context]
     cameras[1], cameras[8] = cameras[8], cameras[1]
     with pytest.raises(InputError, match="the cameras explain"):
-        checked(posed(walk, *cameras))
+        run_check(replace_cameras(walk, *cameras))
 
 
 number = st.floats(-1, 1)
@@ -166,17 +165,17 @@ def test_true_cameras_explain_every_match_in_any_world_frame_and_scale(spin, shi
     moved = points @ world[:3, :3].T + world[:3, 3]
     at_a, at_b = (camera.project(moved)[0] for camera in cameras)
     a, b = cameras
-    assert explained(a, b, at_a, at_b, 0.01).all() and explained(b, a, at_b, at_a, 0.01).all()
+    assert explain(a, b, at_a, at_b, 0.01).all() and explain(b, a, at_b, at_a, 0.01).all()
     assert agree(at_a, at_b, 0.1).all()
     # Moved off its epipolar line, a match is no longer explained.
     on_line = [b.project(a.center + k * (moved[0] - a.center))[0] for k in (1, 2)]
     line = np.cross(*(np.append(pixel, 1) for pixel in on_line))
     away = at_b.copy()
     away[0] += 20 * line[:2] / np.linalg.norm(line[:2])
-    assert not explained(a, b, at_a, away, 5)[0]
+    assert not explain(a, b, at_a, away, 5)[0]
     swapped = replace(a, c2w=b.c2w), replace(b, c2w=a.c2w)
     rays = [(moved - c.center) / np.linalg.norm(moved - c.center, axis=1)[:, None] for c in cameras]
     expected = np.degrees(np.arccos(np.clip((rays[0] * rays[1]).sum(1), -1, 1)))
     np.testing.assert_allclose(angles(a, b, at_a, at_b), expected, atol=1e-5)
     # Of 6,000 seeds three explain 0.9 or more, at most 0.95.
-    assert not explained(*swapped, at_a, at_b, COARSE_DISTANCE * 500).all()
+    assert not explain(*swapped, at_a, at_b, COARSE_DISTANCE * 500).all()

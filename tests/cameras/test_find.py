@@ -9,13 +9,13 @@ import pytest
 from hard_photographs import REFUSED, motorcycle_pair, room_pair
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.cameras.find import FOCAL_STD_FACTOR, FOCAL_STD_FLOOR, find_cameras, focal_of
+from slgaussian.cameras.find import FOCAL_STD_FACTOR, FOCAL_STD_FLOOR, estimate_focal, find_cameras
 from slgaussian.cameras.two_view import Described, Photograph
 from slgaussian.errors import InputError
 
 
 @cache
-def estimated() -> EstimatedCameras:
+def estimate_room() -> EstimatedCameras:
     return find_cameras(room_pair())
 
 
@@ -27,7 +27,7 @@ def test_hard_pair_is_refused(flaw):
 
 
 def test_pairs_taken_side_by_side_are_placed_at_unit_distance():
-    for result in (estimated(), find_cameras(motorcycle_pair())):
+    for result in (estimate_room(), find_cameras(motorcycle_pair())):
         a, b = result.cameras.values()
         assert np.linalg.norm(b.center - a.center) == pytest.approx(1)
         assert b.center[0] > 0.98
@@ -36,16 +36,17 @@ def test_pairs_taken_side_by_side_are_placed_at_unit_distance():
 def test_order_changes_only_the_frame():
     reverse = find_cameras(room_pair()[::-1])
     assert list(reverse.cameras) == ["b.jpg", "a.jpg"]
-    b_in_a, a_in_b = estimated().cameras["b.jpg"].c2w, reverse.cameras["a.jpg"].c2w
+    b_in_a, a_in_b = estimate_room().cameras["b.jpg"].c2w, reverse.cameras["a.jpg"].c2w
     np.testing.assert_allclose(b_in_a @ a_in_b, np.eye(4), atol=1e-9)
-    assert reverse.focals == estimated().focals and reverse.confidence == estimated().confidence
+    assert reverse.focals == estimate_room().focals
+    assert reverse.confidence == estimate_room().confidence
 
 
 def test_duplicate_photograph_is_left_out_and_changes_no_byte():
     result = find_cameras([*room_pair(), replace(room_pair()[0], name="copy.jpg")])
     assert result.left_out == {"copy.jpg": "it is the same picture as a.jpg"}
     assert "copy.jpg is left out: it is the same picture as a.jpg" in result.warnings
-    for name, camera in estimated().cameras.items():
+    for name, camera in estimate_room().cameras.items():
         assert camera.c2w.tobytes() == result.cameras[name].c2w.tobytes()
         assert camera.K.tobytes() == result.cameras[name].K.tobytes()
 
@@ -88,6 +89,6 @@ def test_lenses_are_estimated_per_photograph_in_any_order():
 @pytest.mark.parametrize("deviation", [0.0, 0.05])
 def test_focal_interval_adds_optimism_and_model_error(deviation):
     wide = np.hypot(FOCAL_STD_FACTOR * deviation, FOCAL_STD_FLOOR)
-    focal = focal_of(400, deviation, Described.of(room_pair()[0]))
+    focal = estimate_focal(400, deviation, Described.of(room_pair()[0]))
     assert focal.high / 400 == pytest.approx(np.exp(1.645 * wide), rel=1e-4)
     assert 400 / focal.low == pytest.approx(np.exp(1.645 * wide), rel=1e-4)

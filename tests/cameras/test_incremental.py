@@ -42,7 +42,7 @@ def walk(views: int, points: int = 300):
             t = R[b] @ (C[a] - C[b]) + rng.normal(0, 0.02, 3)
             focals = 600 * np.exp(rng.normal(0, 0.05, 2))
             relative = TwoViews(turn, t, focals, np.zeros(0))
-            ties.append(Tie((a, b), (i, j), keypoints[b][j], relative, 8.0, 0.9))
+            ties.append(Tie((a, b), (i, j), relative, 8.0, 0.9))
     return keypoints, R, C, ties
 
 
@@ -80,7 +80,7 @@ def test_view_of_another_place_is_left_out():
     rng = np.random.default_rng(1)
     keypoints.append(rng.uniform(0, 600, (80, 2)))
     i, j = rng.permutation(60), rng.permutation(60)
-    ties.append(replace(ties[0], views=(4, 5), features=(i, j), xy=keypoints[5][j]))
+    ties.append(replace(ties[0], views=(4, 5), features=(i, j)))
     placed = place_all(keypoints, ties)
     assert sorted(placed.order) == [0, 1, 2, 3, 4]
     assert errors(placed, R, C)[0] < 0.5
@@ -101,7 +101,6 @@ def test_view_that_explains_few_of_its_matches_is_left_out():
     rng = np.random.default_rng(2)
     lost = rng.random(len(keypoints[4])) < 0.85
     keypoints[4] = np.where(lost[:, None], rng.uniform(0, 600, keypoints[4].shape), keypoints[4])
-    ties = [replace(tie, xy=keypoints[tie.views[1]][tie.features[1]]) for tie in ties]
     assert sorted(place_all(keypoints, ties).order) == [0, 1, 2, 3]
 
 
@@ -113,7 +112,7 @@ def test_few_points_place_a_view_only_with_a_confident_pair(confidence):
         if tie.views[1] == 4:
             mask = np.isin(tie.features[1], shared)
             features = tie.features[0][mask], tie.features[1][mask]
-            ties[k] = replace(tie, features=features, xy=tie.xy[mask], confidence=confidence)
+            ties[k] = replace(tie, features=features, confidence=confidence)
     placed = place_all(keypoints, ties)
     assert sorted(placed.order) == [0, 1, 2, 3] + [4] * (confidence > 0.5)
 

@@ -7,6 +7,7 @@ from hard_photographs import motorcycle_pair, photographs
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.epipolar import solve, straighten
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.lens_errors import BENT, EXIF_WRONG, Lens, assume, interval, update, weigh
@@ -105,6 +106,8 @@ def test_photographs_of_a_distorted_lens_are_read_undistorted():
             np.abs(np.float64(image) - true)[inner].mean() for image in (view.image, raw)
         )
         assert off < 0.4 * before
+    (check,) = check_pairs(unposed.photographs(*bent, size=(240, 300)))
+    assert check.precise > 0.9  # its matches are undistorted, resized and cropped too
 
 
 def test_marks_on_both_photographs_are_ignored():

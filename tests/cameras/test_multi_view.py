@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benches.cameras.pose_metrics import direction_error, rotation_error
 from slgaussian import datasets
 from slgaussian.cameras.estimated import UNUSED, EstimatedCameras
 from slgaussian.cameras.find import find_cameras, find_multi_view, worth_solving
@@ -30,7 +31,7 @@ def photographs() -> list[Photograph]:
 
 
 @pytest.fixture(scope="module")
-def estimated(photographs) -> EstimatedCameras:
+def estimate(photographs) -> EstimatedCameras:
     return find_cameras(photographs)
 
 
@@ -39,45 +40,43 @@ def angular_error(cameras, true) -> float:
     worst = 0.0
     for j, i in combinations(range(len(true)), 2):
         actual, expected = cameras[i].w2c @ cameras[j].c2w, true[i] @ np.linalg.inv(true[j])
-        rotation = Rotation.from_matrix(actual[:3, :3] @ expected[:3, :3].T).magnitude()
-        a, b = actual[:3, 3], expected[:3, 3]
-        direction = np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
-        worst = max(worst, rotation, direction)
-    return float(np.degrees(worst))
+        turned = rotation_error(actual[:3, :3], expected[:3, :3])
+        worst = max(worst, turned, direction_error(actual[:3, 3], expected[:3, 3]))
+    return worst
 
 
-def test_three_views_are_placed_in_the_frame_of_the_first(photographs, estimated):
-    cameras = [estimated.cameras[p.name] for p in photographs]
+def test_three_views_are_placed_in_the_frame_of_the_first(photographs, estimate):
+    cameras = [estimate.cameras[p.name] for p in photographs]
     assert angular_error(cameras, room(0)[1]) < 4
     np.testing.assert_allclose(cameras[0].c2w, np.eye(4), atol=1e-12)
     assert np.linalg.norm(cameras[1].center) == pytest.approx(1)
-    focal = estimated.focals[photographs[0].name]
+    focal = estimate.focals[photographs[0].name]
     assert focal.low < 1080 < focal.high  # 360 px at a third of the size
     assert focal.pixels == cameras[2].K[0, 0]
-    assert estimated.confidence > 0.9
-    assert not estimated.warnings
+    assert estimate.confidence > 0.9
+    assert not estimate.warnings
 
 
-def test_order_changes_only_the_frame(photographs, estimated):
+def test_order_changes_only_the_frame(photographs, estimate):
     permuted = [photographs[k] for k in (2, 0, 1)]
     result = find_cameras(permuted)
     cameras = [result.cameras[p.name] for p in photographs]
-    expected = [estimated.cameras[p.name].w2c for p in photographs]
+    expected = [estimate.cameras[p.name].w2c for p in photographs]
     assert list(result.cameras) == [p.name for p in permuted]
     assert angular_error(cameras, expected) < 1e-4
     np.testing.assert_allclose(cameras[2].c2w, np.eye(4), atol=1e-12)
     name = photographs[0].name
-    assert result.focals[name] == estimated.focals[name]
+    assert result.focals[name] == estimate.focals[name]
 
 
-def test_photograph_of_another_room_is_left_out_and_changes_no_byte(photographs, estimated):
+def test_photograph_of_another_room_is_left_out_and_changes_no_byte(photographs, estimate):
     """It shows an object of the same pattern."""
     stranger, reason = replace(room(5)[0][0], name="elsewhere.jpg"), "too little"
     result = find_cameras([photographs[0], stranger, *photographs[1:]])
     assert list(result.cameras) == [p.name for p in photographs]
-    for name, camera in estimated.cameras.items():
+    for name, camera in estimate.cameras.items():
         assert result.cameras[name].c2w.tobytes() == camera.c2w.tobytes()
-    assert result.focals == estimated.focals and result.confidence == estimated.confidence
+    assert result.focals == estimate.focals and result.confidence == estimate.confidence
     assert list(result.left_out) == ["elsewhere.jpg"]
     assert reason in result.left_out["elsewhere.jpg"]
     (warning,) = result.warnings

@@ -19,13 +19,13 @@ from slgaussian.benchmark.outputs import mask_paths
 from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.checks import companion, match_rank, matching, natural_key, order_naturally
 from slgaussian.datasets import unposed
+from slgaussian.datasets.sources import Photographs
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_geometry
 from slgaussian.masks.precomputed import Precomputed
 from slgaussian.predict.precomputed import find_maps
 from slgaussian.scene import Camera, Sample, Scene
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
-from tasks.scene import Photographs
 
 STEREO = ("left/0001.jpg", "right/0001.jpg", "left/0002.jpg")
 

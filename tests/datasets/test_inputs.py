@@ -18,9 +18,10 @@ from test_unposed import side_by_side
 
 from slgaussian import datasets
 from slgaussian.datasets import re10k, unposed
+from slgaussian.datasets.sources import Photographs, PosedFolder
 from slgaussian.errors import InputError
-from tasks.chunks import PosedFolder, packed
-from tasks.scene import Labels, Photographs, ingest, truth
+from tasks.chunks import packed
+from tasks.scene import Labels, ingest, truth
 from tests.plain_stages import call
 
 NAMES = ("view_10.png", "view_2.png", "view_30.png", "view_4.png")

@@ -1,5 +1,6 @@
 """Every command refuses, labels and hides the same photographs alike (:mod:`slgaussian.build`)."""
 
+import ast
 import json
 import re
 from dataclasses import replace
@@ -27,9 +28,15 @@ NAMES = [f"{number}.png" for number in range(5)]
 MIDDLE = "2.png"  # which `benchmark` holds out, and `run` here too
 FROM_SCENES = ("ingest", "supervise", "dataset", "retrain")
 ROAD = ("field", "masks", "run", "benchmark", *FROM_SCENES)
+ROOT = Path(__file__).parents[2]
+INNER = [
+    f"slgaussian.{module}"
+    for module in ("cameras.check", "masks.associate", "masks.levels", "predict.view_graph")
+]
+"""Modules of the steps that only :mod:`slgaussian.build` may put together."""
 
 
-def views_of(seed: int) -> dict[str, View]:
+def make_views(seed: int) -> dict[str, View]:
     size = {"height": HEIGHT, "width": WIDTH}
     room = datasets.load("procedural", seed=seed, objects=8, views=5, baseline=1.0, **size)
     return {name: room.read(view) for name, view in zip(NAMES, room.cameras, strict=True)}
@@ -40,7 +47,7 @@ def with_reversed_axes(view: View) -> View:
     return replace(view, camera=replace(view.camera, c2w=c2w))
 
 
-def words_of(command: str, folder: Path, place: Path, *more: str) -> list[object]:
+def make_words(command: str, folder: Path, place: Path, *more: str) -> list[object]:
     """Return the words of a command for the photographs of a folder, which has their cameras."""
     context = [name for name in NAMES if name != MIDDLE]
     cameras = ["--cameras", folder / "transforms.json"]
@@ -65,8 +72,8 @@ def words_of(command: str, folder: Path, place: Path, *more: str) -> list[object
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory) -> dict[str, Path]:
     """Write folders of five photographs that are usable, or not, and one that is partly hidden."""
-    place, views = tmp_path_factory.mktemp("folders"), views_of(1)
-    stranger = next(iter(views_of(2).values()))
+    place, views = tmp_path_factory.mktemp("folders"), make_views(1)
+    stranger = next(iter(make_views(2).values()))
     other_camera = replace(stranger, camera=views["1.png"].camera)
     kinds = {
         "reversed": {name: with_reversed_axes(view) for name, view in views.items()},
@@ -74,6 +81,16 @@ def folders(tmp_path_factory) -> dict[str, Path]:
         "hidden": {name: replace(view, opaque=OPAQUE) for name, view in views.items()},
     }
     return {kind: write_photographs(place / kind, photos) for kind, photos in kinds.items()}
+
+
+def test_commands_and_stages_import_no_step_that_the_road_puts_together():
+    for file in (path for room in ("flows", "tasks") for path in (ROOT / room).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom | ast.Import):
+                module = getattr(node, "module", None) or ""
+                names = [module, *(f"{module}.{alias.name}" for alias in node.names)]
+                inner = [name for name in names if name.strip(".") in INNER]
+                assert not inner, f"{file}: takes {inner} past slgaussian.build"
 
 
 REFUSALS = {
@@ -87,7 +104,7 @@ REFUSALS = {
 def test_a_command_says_what_a_field_says_of_the_same_photographs(
     command, kind, folders, tmp_path, slg
 ):
-    _, _, said = slg(*words_of(command, folders[kind], tmp_path))
+    _, _, said = slg(*make_words(command, folders[kind], tmp_path))
     if (file := tmp_path / command / "failures.parquet").exists():
         said += "".join(pq.read_table(file)["reason"].to_pylist())
     assert re.search(REFUSALS[kind], said)
@@ -98,11 +115,11 @@ def test_a_sample_of_a_chunk_is_refused_by_its_cameras_unless_they_are_trusted(
     command, tmp_path, slg
 ):
     clip = re10k.clip_of(
-        Scene("clip", {n: v.camera for n, v in views_of(1).items()}, views_of(1).get)
+        Scene("clip", {n: v.camera for n, v in make_views(1).items()}, make_views(1).get)
     )
     exchanged = clip.cameras[[4, 1, 2, 3, 0]]
     re10k.write(tmp_path / "chunks", [replace(clip, cameras=exchanged)])
-    words = words_of(command, tmp_path / "chunks", tmp_path, "--set", "near=1", "--set", "far=9")
+    words = make_words(command, tmp_path / "chunks", tmp_path, "--set", "near=1", "--set", "far=9")
     assert slg(*words)[0] in (1, 2)
     (failure,) = pq.read_table(tmp_path / command / "failures.parquet").to_pylist()
     assert failure["stage"] == {"supervise": "predictions", "dataset": "geometry"}[command]
@@ -110,7 +127,7 @@ def test_a_sample_of_a_chunk_is_refused_by_its_cameras_unless_they_are_trusted(
     assert slg(*words, "--set", "trust_cameras=true")[0] == 0
 
 
-def labels_of(command: str, place: Path) -> np.ndarray:
+def read_labels(command: str, place: Path) -> np.ndarray:
     """Read the label maps that a command left, int32 [V, H, W]: context views, then targets."""
     folder, store = place / command, ArtifactStore(place / "store")
     if command == "field":  # of Gaussians, by the pixels that they are from
@@ -147,16 +164,16 @@ def test_all_products_have_the_same_labels_and_none_where_a_photograph_is_transp
 ):
     labels = {}
     for command in ("masks", "field", "run", "benchmark", "supervise", "dataset", "retrain"):
-        status, *_ = slg(*words_of(command, folders["hidden"], tmp_path))
+        status, *_ = slg(*make_words(command, folders["hidden"], tmp_path))
         assert status == 2 if command == "retrain" else status == 0  # it needs more than a clip
-        labels[command] = labels_of(command, tmp_path)
+        labels[command] = read_labels(command, tmp_path)
     for command, maps in labels.items():
         assert not maps[:, ~OPAQUE].any(), command
         assert (maps[:, OPAQUE] > 0).mean() > 0.5, command
         alike = labels["supervise" if command in FROM_SCENES else "masks"]
         # A field has no Gaussian where those of another view cover the surface.
         np.testing.assert_array_equal(maps, alike * (maps > 0) if command == "field" else alike)
-    assert slg(*words_of("ingest", folders["hidden"], tmp_path))[0] == 0
+    assert slg(*make_words("ingest", folders["hidden"], tmp_path))[0] == 0
     (clip,) = re10k.read_chunk(tmp_path / "ingest/chunks/000000.torch")
     assert all(np.array_equal(view.opaque, OPAQUE) for view in map(clip.view, range(5)))
     card = " ".join((tmp_path / "dataset/README.md").read_text().split())

@@ -25,7 +25,7 @@ def scene(cameras, box):
     return walls, [rng.random((*wall.shape, 3), np.float32) for wall in walls]
 
 
-def is_shown(points, cameras, walls):
+def shows(points, cameras, walls):
     """Tell for each point [M, 3], in a plain loop, whether a view shows it or free space there."""
     out = []
     for point in points:
@@ -52,7 +52,7 @@ def test_only_what_no_view_shows_is_continued(box, size):
     for i in range(2):
         # Float32 means: a point just inside a border may be just outside. Measured none.
         rest = [[v[1 - i]] for v in (cameras, walls)]
-        assert not is_shown(points[view == i], *rest).any()
+        assert not shows(points[view == i], *rest).any()
 
 
 def test_a_view_goes_on_beyond_its_border():

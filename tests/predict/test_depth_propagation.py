@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from textured_planes import camera, links_of, sample
+from textured_planes import camera, make_links, sample
 
 from slgaussian.predict.depth_propagation import SweptView, propagate_depth
 
 CAMERAS = (camera(), camera(x=0.3))
-LINKS = links_of(*CAMERAS)
+LINKS = make_links(*CAMERAS)
 HOLE = (slice(50, 70), slice(60, 90))
 
 

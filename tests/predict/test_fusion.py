@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from textured_planes import camera, links_of, sample
+from textured_planes import camera, make_links, sample
 
 from slgaussian.predict.depth_completion import AGREES, cross_check
-from slgaussian.predict.fusion import blend, select_drawn
+from slgaussian.predict.fusion import blend, select_pixels
 from slgaussian.predict.view_graph import ViewGraph
 
 # Written out, not imported: a slip in the module must show here.
 FEATHER = 16.0
 
 
-def plainly_blended(images, inverse_depths, steps, links):
+def blend_plainly(images, inverse_depths, steps, links):
     """The definition, pixel by pixel in float64."""
     out = []
     for i, sources in enumerate(links):
@@ -57,10 +57,10 @@ def test_a_blend_is_that_of_the_definition(views):
     images = [rng.random((24, 40, 3), np.float32) for _ in cameras]
     depths = [1 / view.depth.astype(np.float32) for view in sample(*cameras).context]
     depths[1][:, ::2] *= 1.5
-    links = links_of(*cameras)
+    links = make_links(*cameras)
     mixed = blend(images, depths, [0.001] * views, links)
     for result, expected in zip(
-        mixed, plainly_blended(images, depths, [0.001] * views, links), strict=True
+        mixed, blend_plainly(images, depths, [0.001] * views, links), strict=True
     ):
         assert result.dtype == np.float32
         # Weights and fractions of a pixel in float32: measured 4e-7.
@@ -68,12 +68,12 @@ def test_a_blend_is_that_of_the_definition(views):
 
 
 def select(cameras, inverse, valid):
-    """:func:`select_drawn` of linked views."""
-    graph = ViewGraph(cameras, links_of(*cameras))
-    return select_drawn(graph, inverse, valid, [0.001] * len(cameras))
+    """:func:`select_pixels` of linked views."""
+    graph = ViewGraph(cameras, make_links(*cameras))
+    return select_pixels(graph, inverse, valid, [0.001] * len(cameras))
 
 
-def selected(cameras, depths, guessed=None):
+def select_from_depths(cameras, depths, guessed=None):
     """Select the drawn pixels if all depths are confirmed except those of the view ``guessed``."""
     inverse = [1 / depth.astype(np.float32) for depth in depths]
     valid = [np.full_like(w, np.inf) if i == guessed else w for i, w in enumerate(inverse)]
@@ -83,7 +83,7 @@ def selected(cameras, depths, guessed=None):
 def test_a_surface_is_drawn_by_two_views_at_most_and_what_is_new_by_all():
     cameras = [camera(x=x) for x in (0, 0.2, 0.4, 0.6)]
     depths = [view.depth for view in sample(*cameras).context]
-    keep = selected(cameras, depths)
+    keep = select_from_depths(cameras, depths)
     assert keep[0].all() and keep[1].all()
     # The first two saw all of it but what lies beyond their borders, on the right.
     W = keep[2].shape[1]
@@ -96,7 +96,7 @@ def test_nothing_is_drawn_where_a_view_before_sees_through():
     cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
     depths = [view.depth.copy() for view in sample(*cameras).context]
     depths[2][40:60, 40:60] *= 0.5
-    keep = selected(cameras, depths)
+    keep = select_from_depths(cameras, depths)
     assert not keep[2][41:59, 41:59].any()
 
 
@@ -104,13 +104,13 @@ def test_a_guess_is_not_drawn_where_a_view_after_sees_through_but_does_not_refut
     cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
     depths = [view.depth.copy() for view in sample(*cameras).context]
     depths[0][40:60, 60:80] *= 0.5
-    keep = selected(cameras, depths, guessed=0)
+    keep = select_from_depths(cameras, depths, guessed=0)
     assert not keep[0][41:59, 61:79].any()
     # Known, it stays: the views before decide about what is matched.
-    assert selected(cameras, depths)[0].all()
+    assert select_from_depths(cameras, depths)[0].all()
     # Depth that the first view only guesses takes nothing from the others.
     depths[0][:] *= 4
-    assert selected(cameras, depths, guessed=0)[2].mean() > 0.9
+    assert select_from_depths(cameras, depths, guessed=0)[2].mean() > 0.9
 
 
 def test_a_guess_is_not_drawn_in_front_of_what_a_view_before_draws():

@@ -67,7 +67,7 @@ def pair(left=(), right=(), **settings) -> Sample:
     return stage(camera(**LEFT | dict(left)), camera(**RIGHT | dict(right)), **settings)
 
 
-def exposed(gain: float | tuple[float, float, float]) -> Sample:
+def expose(gain: float | tuple[float, float, float]) -> Sample:
     """One view has so many times the light; some of it may be clipped."""
     first = photograph("view0", camera(**LEFT))
     return Sample("stage", (first, photograph("view1", camera(**RIGHT), gain=gain)))
@@ -170,8 +170,8 @@ PROMISED = {
     # A standard deviation of 5 % of full scale.
     "sensor_noise": (lambda: pair(noise=0.05), 0.04, 0.014, 0.935),  # .025 .0077 .958
     "out_of_focus": (out_of_focus, 0.05, 0.022, 0.94),  # .032 .013 .962
-    "exposure_change": (lambda: exposed(2.0), 0.03, 0.011, 0.96),  # .020 .0066 .976
-    "white_balance": (lambda: exposed((1.5, 1.0, 0.67)), 0.03, 0.011, 0.96),  # .020 .0066 .976
+    "exposure_change": (lambda: expose(2.0), 0.03, 0.011, 0.96),  # .020 .0066 .976
+    "white_balance": (lambda: expose((1.5, 1.0, 0.67)), 0.03, 0.011, 0.96),  # .020 .0066 .976
 }
 """Bounds of the mean and median relative error and of the share within 1.25 of the truth."""
 
@@ -236,13 +236,13 @@ def blank(**limits: float) -> Sample:
     return Sample("blank", tuple(View(f"view{i}", c, grey) for i, c in enumerate(cameras)))
 
 
-def exchanged(**limits: float) -> Sample:
+def exchange(**limits: float) -> Sample:
     """Exchange the cameras of two photographs."""
     a, b = stage(camera(**LEFT, **limits), camera(**RIGHT, **limits)).context
-    return Sample("exchanged", (replace(a, image=b.image), replace(b, image=a.image)))
+    return Sample("exchange", (replace(a, image=b.image), replace(b, image=a.image)))
 
 
-def only_turned() -> Sample:
+def turn_only() -> Sample:
     """A camera whose pose claims a baseline that nothing in the photographs shows."""
     turned = replace(photograph("turned", camera(right=1e-6, yaw=10)), camera=camera(0.3, yaw=10))
     return Sample("turned", (photograph("view", camera()), turned))
@@ -262,9 +262,9 @@ SAME, BEHIND = r"almost the same place: .* farther apart", r"behind the cameras;
         ),
         (lambda: stage(camera(), camera(right=1e-3, yaw=10)), SAME),
         (lambda: stage(camera(**RANGE), camera(right=1e-6, yaw=10, **RANGE)), SAME),
-        (only_turned, SAME),
-        (exchanged, BEHIND),
-        (lambda: exchanged(**RANGE), BEHIND),
+        (turn_only, SAME),
+        (exchange, BEHIND),
+        (lambda: exchange(**RANGE), BEHIND),
         (
             lambda: stage(camera(), camera(forward=3.2, yaw=180)),
             "views do not overlap or have too little texture",

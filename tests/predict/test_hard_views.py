@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from benches.views.numbers_of_views import Row, at_targets
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.datasets.procedural.raycast import BOX, Solid
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.predict.view_graph import link_views
@@ -72,7 +71,7 @@ def darker(views: Views, seed: int) -> Views:
     return (*views[:ODD], odd, *views[ODD + 1 :])
 
 
-def first_turned(views: Views, seed: int) -> Views:
+def turn_first(views: Views, seed: int) -> Views:
     """Rotate the first camera by 90 degrees, clockwise."""
     first = views[0]
     (fx, _, cx), (_, fy, cy), _ = first.camera.K
@@ -88,7 +87,7 @@ def first_turned(views: Views, seed: int) -> Views:
     return (replace(first, camera=camera, **turned), *views[1:])
 
 
-def shuffled(views: Views, seed: int) -> Views:
+def shuffle(views: Views, seed: int) -> Views:
     return tuple(views[k] for k in np.random.default_rng(seed).permutation(len(views)))
 
 
@@ -97,10 +96,10 @@ TWISTS = {
     # What is there twice but for its coding hardly costs, and is not drawn twice over.
     saved_again: (-0.3, 1.2, (0, 1.08)),  # -0.14 (0.12); 1.06 (0.06); 0.999 (0.005)
     darker: (-0.5, 1.1, (0, math.inf)),  # -0.19 (0.18); 1.01 (0.02)
-    first_turned: (-0.3, 1.25, (0.96, 1.04)),  # 0.02 (0.10); 1.08 (0.06); 1.005 (0.007)
+    turn_first: (-0.3, 1.25, (0.96, 1.04)),  # 0.02 (0.10); 1.08 (0.06); 1.005 (0.007)
     # Who comes first decides who draws what two show, and hardly what is seen.
     # -0.08 (0.11); 1.01 (0.04); 1.008 (0.008)
-    shuffled: (-0.3, 1.15, (0.95, 1.05)),
+    shuffle: (-0.3, 1.15, (0.95, 1.05)),
 }
 
 
@@ -108,7 +107,7 @@ TWISTS = {
 def test_a_twist_costs_little(twist):
     rows = []
     for seed in ROOMS:
-        square = twist is first_turned  # a square photograph has no shape
+        square = twist is turn_first  # a square photograph has no shape
         scene, before = room(seed, square), plain(seed, square)
         after = figures(replace(scene, context=twist(scene.context, seed)))
         ratios = [after[name] / before[name] for name in ("depth", "gaussians")]
@@ -135,7 +134,7 @@ def test_a_loop_closes():
         tuple(photograph(f"view{k}", at(k / AROUND), extra=[FRONT]) for k in numbers)
         for numbers in (range(AROUND), [AROUND - 0.5])
     )
-    linked = link_views(views, MatchGraph.of(views), ranged=False)
+    linked = link_views(Sample("loop", views), ranged=False)
     sources = [[link.source for link in local] for local in linked.links]
     assert 0 in sources[-1] and AROUND - 1 in sources[0]
     half = AROUND // 2

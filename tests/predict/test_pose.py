@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from textured_planes import NORMAL, Plane, camera, sample
 
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.build import select_usable
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.predict.depth_hypotheses import (
@@ -17,7 +17,8 @@ from slgaussian.predict.depth_hypotheses import (
     visible_share,
 )
 from slgaussian.predict.pose_refinement import refine
-from slgaussian.predict.view_graph import link_views, select_usable
+from slgaussian.predict.view_graph import link_views
+from slgaussian.scene import Sample
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))
@@ -32,9 +33,9 @@ def matches(count=200, noise=0.0, seed=0):
     return pixels, inside + noise * rng.standard_normal(inside.shape), w
 
 
-def linked(views, ranged=False):
+def link(views, ranged=False):
     """The views linked by all of their matches."""
-    return link_views(views, MatchGraph.of(views), ranged)
+    return link_views(Sample("plane", tuple(views)), ranged)
 
 
 def test_exact_matches_lie_on_their_epipolar_lines_and_triangulate():
@@ -90,7 +91,7 @@ def test_candidates_move_a_pixel_by_about_a_pixel():
 def test_three_views_link_to_each_other_the_best_angle_first():
     """The lines of sight of the first two meet at 10 degrees, those of the others at 4 and 6."""
     views = sample(camera(), camera(x=0.5), camera(x=0.2)).context
-    links = linked(views).links
+    links = link(views).links
     assert [[link.source for link in sources] for sources in links] == [[2, 1], [2, 0], [1, 0]]
     assert all(len(link.sparse) > 30 for sources in links for link in sources)
 
@@ -99,12 +100,12 @@ def test_good_poses_stay_and_others_are_settled():
     initial = [view.camera for view in sample(camera(), camera(x=0.5), camera(x=0.2)).context]
     for count in (2, 3):
         views = sample(*initial[:count]).context
-        assert list(linked(views).cameras) == initial[:count]
+        assert list(link(views).cameras) == initial[:count]
     c2w = initial[1].c2w.copy()
     c2w[:3, :3] = cv2.Rodrigues(np.radians([1.0, 0, 0]))[0] @ c2w[:3, :3]
     wrong = replace(initial[1], c2w=c2w)
     views = sample(*initial).context
-    result = linked([views[0], replace(views[1], camera=wrong), views[2]]).cameras
+    result = link([views[0], replace(views[1], camera=wrong), views[2]]).cameras
     inside = Relative.between(result[0], result[1]).R @ Relative.between(initial[0], initial[1]).R.T
     assert np.degrees(np.linalg.norm(cv2.Rodrigues(inside)[0])) < 0.7
 
@@ -112,7 +113,7 @@ def test_good_poses_stay_and_others_are_settled():
 def test_a_view_that_matches_no_other_is_linked_by_its_pose():
     near = sample(camera(), camera(x=0.3)).context
     with pytest.warns(UserWarning, match=r"'elsewhere': fewer than 12 matches .* leave out"):
-        links = linked([*near, ELSEWHERE]).links
+        links = link([*near, ELSEWHERE]).links
     assert [[link.source for link in local] for local in links] == [[1, 2], [0, 2], [0, 1]]
     assert [len(link.sparse) for link in links[2]] == [0, 0]
 
@@ -120,18 +121,18 @@ def test_a_view_that_matches_no_other_is_linked_by_its_pose():
 def test_two_views_without_matches_are_named():
     near = Plane(NORMAL, 3.0).view("here", camera())
     with pytest.raises(InputError, match="'here'; 'elsewhere' has fewer than 12 matches"):
-        linked([near, ELSEWHERE])
-    assert linked([near, ELSEWHERE], ranged=True).links[0][0].source == 1
+        link([near, ELSEWHERE])
+    assert link([near, ELSEWHERE], ranged=True).links[0][0].source == 1
 
 
 def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     initial = sample(camera(), camera(x=0.3), camera(x=0.5))
     among = replace(initial, context=(initial.context[0], ELSEWHERE, *initial.context[1:]))
-    stored, _, left_out = select_usable(among)
+    stored, left_out = select_usable(among)
     assert [view.name for view in stored.context] == [view.name for view in initial.context]
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
-    stored, _, left_out = select_usable(initial)
-    assert stored is initial and not left_out
+    stored, left_out = select_usable(initial)
+    assert stored.context == initial.context and not left_out
 
 
 def test_range_is_wider_than_the_matches_and_bounded_far_away():

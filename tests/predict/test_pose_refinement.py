@@ -14,7 +14,7 @@ TRUE = [camera(x=x, y=y, turn=turn) for x, y, turn in
         [(0, 0, 0), (0.3, 0.05, -0.05), (0.6, -0.05, 0.02), (0.9, 0, -0.02)]]  # fmt: skip
 
 
-def disturbed(inputs, turn, move):
+def disturb(inputs, turn, move):
     c2w = inputs.c2w.copy()
     c2w[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ c2w[:3, :3]
     c2w[:3, 3] += move
@@ -48,7 +48,7 @@ def off(cameras, true=TRUE):
 
 def test_settled_cameras_are_nearer_to_the_truth_than_the_given_ones():
     rng = np.random.default_rng(1)
-    inputs = [disturbed(c, rng.normal(0, 0.005, 3), rng.normal(0, 0.01, 3)) for c in TRUE]
+    inputs = [disturb(c, rng.normal(0, 0.005, 3), rng.normal(0, 0.01, 3)) for c in TRUE]
     keypoints, matches = observe(TRUE, noise=0.1)
     before, after = off(inputs), off(refine_cameras(inputs, keypoints, matches))
     assert before[0] > 0.3 and before[1] > 0.03
@@ -66,7 +66,7 @@ def test_a_frame_turned_as_a_whole_stays_where_it_was_given():
     """The world frame is not determined by matches, so the given one stays."""
     turn, middle = np.array([0.004, -0.003, 0.002]), np.mean([c.center for c in TRUE], 0)
     spin = Rotation.from_rotvec(turn).as_matrix()
-    inputs = [disturbed(c, turn, spin @ (c.center - middle) + middle - c.center) for c in TRUE]
+    inputs = [disturb(c, turn, spin @ (c.center - middle) + middle - c.center) for c in TRUE]
     keypoints, matches = observe(TRUE)
     for before, after in zip(inputs, refine_cameras(inputs, keypoints, matches), strict=True):
         assert degrees(before, after) < 0.02
@@ -75,7 +75,7 @@ def test_a_frame_turned_as_a_whole_stays_where_it_was_given():
 
 def test_two_cameras_meet_half_way():
     turn, move = np.array([0.01, -0.02, 0.005]), np.array([0.02, 0.01, -0.03])
-    refined = [TRUE[0], disturbed(TRUE[1], turn, move)]
+    refined = [TRUE[0], disturb(TRUE[1], turn, move)]
     met = anchor_cameras(TRUE[:2], refined, np.full((2, 2), 0.5))
     for before, after in zip(TRUE[:2], met, strict=True):
         assert degrees(before, after) == pytest.approx(np.degrees(np.linalg.norm(turn)) / 2)

@@ -10,15 +10,13 @@ from PIL import Image
 from textured_planes import Plane, camera, sample
 
 from slgaussian.build import predict
-from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.components.registry import configure
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep, sweep
 from slgaussian.predict.precomputed import _read as read_depths
-from slgaussian.predict.precomputed import agreeing, find_maps
+from slgaussian.predict.precomputed import find_maps
 from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Sample, View
 
@@ -36,35 +34,34 @@ def true_depth(scene: Sample) -> np.ndarray:
     return np.array([view.depth for view in scene.context])
 
 
-def saved(folder: Path, **arrays: np.ndarray) -> Path:
+def save(folder: Path, **arrays: np.ndarray) -> Path:
     np.savez(folder / "results.npz", **arrays)
     return folder / "results.npz"
 
 
-def predicted(scene: Sample, place: Path) -> Gaussians:
+def predict_from(scene: Sample, place: Path) -> Gaussians:
     gaussians = load_predictor("precomputed", geometry=place)(scene)
     gaussians.check()
     return gaussians
 
 
-def depths_of(scene: Sample, place: Path) -> np.ndarray:
-    return source_depths(predicted(scene, place), [view.camera for view in scene.context])
+def predict_depths(scene: Sample, place: Path) -> np.ndarray:
+    return source_depths(predict_from(scene, place), [view.camera for view in scene.context])
 
 
 def off(scene: Sample, place: Path) -> float:
     """Median relative error of depth."""
-    return float(np.median(np.abs(depths_of(scene, place) / true_depth(scene) - 1)))
+    return float(np.median(np.abs(predict_depths(scene, place) / true_depth(scene) - 1)))
 
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_depth_of_a_sweep_read_again_makes_the_gaussians_of_the_sweep(tmp_path, count):
     cameras = [camera(x=0.2 * i, turn=0.05 * i) for i in range(count)]
     scene = sample(*cameras)
-    graph = MatchGraph.of(scene.context)
-    swept = sweep(PlaneSweep(), scene, link_views(scene.context, graph, False).links)
+    swept = sweep(PlaneSweep(), scene, link_views(scene, False).links)
     depth = [np.where(s.answered, 1 / s.inverse_depth.astype(float), 0) for s in swept]
     expected = PlaneSweep()(scene).to_arrays()
-    arrays = predicted(scene, saved(tmp_path, depth=np.array(depth))).to_arrays()
+    arrays = predict_from(scene, save(tmp_path, depth=np.array(depth))).to_arrays()
     for name, values in expected.items():
         np.testing.assert_allclose(arrays[name], values, atol=1e-6, err_msg=name)
 
@@ -113,7 +110,7 @@ def test_a_map_of_another_format_is_said_with_those_that_depth_may_have(tmp_path
     with pytest.raises(
         InputError, match=r"0\.exr: cannot be read \(EXR\); save depth as \.npy"
     ) as e:
-        predicted(steep, tmp_path)
+        predict_from(steep, tmp_path)
     assert "photograph" not in str(e.value)
 
 
@@ -157,7 +154,7 @@ def along_rays(view: View) -> np.ndarray:
 def test_the_reading_that_fits_is_taken_and_said(tmp_path, steep, change, message):
     depth = np.array([change(view, i) for i, view in enumerate(steep.context)])
     with pytest.warns(UserWarning, match=message):
-        assert off(steep, saved(tmp_path, depth=depth)) < 0.01
+        assert off(steep, save(tmp_path, depth=depth)) < 0.01
 
 
 @pytest.mark.parametrize(
@@ -171,9 +168,9 @@ def test_the_reading_that_fits_is_taken_and_said(tmp_path, steep, change, messag
     ],
 )
 def test_depth_that_no_reading_fits_is_refused(tmp_path, steep, change, message):
-    file = saved(tmp_path, depth=change(true_depth(steep)))
+    file = save(tmp_path, depth=change(true_depth(steep)))
     with pytest.raises(InputError, match=message):
-        predicted(steep, file)
+        predict_from(steep, file)
 
 
 @pytest.mark.parametrize("step", [0.6, 0.1, 0.03])
@@ -181,10 +178,10 @@ def test_disparity_given_as_depth_is_refused_at_any_parallax(tmp_path, step):
     pair = camera(turn=0.02), camera(x=step, turn=-0.02)
     scene = Sample("steep", tuple(STEEP.view(f"{i}.png", one) for i, one in enumerate(pair)))
     depth = true_depth(scene)
-    assert off(scene, saved(tmp_path, depth=depth)) < 0.02
+    assert off(scene, save(tmp_path, depth=depth)) < 0.02
     for disparity in (1 / depth, 80 / depth, 1 / depth + 0.01):
         with pytest.raises(InputError, match=r"1 / map takes \d+%, so it is disparity or inverse"):
-            predicted(scene, saved(tmp_path, depth=disparity))
+            predict_from(scene, save(tmp_path, depth=disparity))
 
 
 @pytest.mark.parametrize("change", [np.ones_like, lambda depth: depth[:, ::-1]])
@@ -196,30 +193,30 @@ def test_depth_that_the_matches_cannot_confirm_is_said(tmp_path, change):
         r"cannot confirm the depth: it takes (9\d|100)% of .* one depth for all pixels (9\d|100)%"
     )
     with pytest.warns(UserWarning, match=says):
-        predicted(scene, saved(tmp_path, depth=change(true_depth(scene))))
+        predict_from(scene, save(tmp_path, depth=change(true_depth(scene))))
 
 
 def test_a_reading_that_no_match_checks_is_said(tmp_path, steep):
     blank = [replace(view, image=np.full_like(view.image, 90)) for view in steep.context]
-    maps = find_maps(saved(tmp_path, depth=true_depth(steep)), steep)
+    maps = find_maps(save(tmp_path, depth=true_depth(steep)), steep)
     with pytest.warns(UserWarning, match="too few matches, 0, to check how its numbers are meant"):
-        read_depths(tmp_path, blank, maps, agreeing(blank, MatchGraph.of(blank)))
+        read_depths(tmp_path, blank, maps, {})
 
 
 def test_names_tell_maps_apart(tmp_path, steep):
     depth = true_depth(steep)[::-1]
-    file = saved(tmp_path, depth=depth, names=["1.jpg", "0.jpg"])
+    file = save(tmp_path, depth=depth, names=["1.jpg", "0.jpg"])
     assert off(steep, file) < 0.005
     with pytest.raises(InputError, match=r"no map of view 'images/1\.png'; its names begin with 0"):
-        predicted(steep, saved(tmp_path, depth=depth, names=["0.jpg", "5.jpg"]))
+        predict_from(steep, save(tmp_path, depth=depth, names=["0.jpg", "5.jpg"]))
 
 
 def test_pixels_without_depth_are_completed(tmp_path, steep):
     depth = true_depth(steep)
     depth[:, 40:60, 50:90] = np.nan
-    assert off(steep, saved(tmp_path, depth=depth)) < 0.005
-    arrays = predicted(steep, saved(tmp_path, depth=depth)).to_arrays()
-    hole = np.abs(depths_of(steep, tmp_path / "results.npz") / true_depth(steep) - 1)[
+    assert off(steep, save(tmp_path, depth=depth)) < 0.005
+    arrays = predict_from(steep, save(tmp_path, depth=depth)).to_arrays()
+    hole = np.abs(predict_depths(steep, tmp_path / "results.npz") / true_depth(steep) - 1)[
         :, 45:55, 55:85
     ]
     assert hole.max() < 0.02
@@ -234,9 +231,8 @@ def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
     confidence = np.full(depth.shape, sure[1])
     confidence[:, :40] = sure[0]
     confidence += 1e-3 * np.random.default_rng(1).random(depth.shape)
-    place = saved(tmp_path, depth=depth, conf=confidence)
-    settings = configure("predictor", "precomputed", {"precomputed": {"geometry": place}})
-    gaussians = predict(steep, MatchGraph.of(steep.context), settings, 0).gaussians
+    place = save(tmp_path, depth=depth, conf=confidence)
+    gaussians = predict(steep, load_predictor("precomputed", geometry=place), 0).gaussians
     arrays = gaussians.to_arrays()
     row = arrays["source"] // steep.context[0].camera.width % steep.context[0].camera.height
     visible = ~arrays["guessed"]
@@ -250,19 +246,19 @@ def test_what_cannot_be_read_is_said(tmp_path, steep):
             load_predictor("precomputed", **place)
     (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(InputError, match="cannot be read"):
-        predicted(steep, tmp_path / "bad.npz")
+        predict_from(steep, tmp_path / "bad.npz")
     with pytest.raises(InputError, match="holds no depth; expected one of depth"):
-        predicted(steep, saved(tmp_path, disparity=true_depth(steep)))
+        predict_from(steep, save(tmp_path, disparity=true_depth(steep)))
     with pytest.raises(InputError, match=r"has no depth of view 'images/0\.png'"):
-        predicted(steep, tmp_path)
+        predict_from(steep, tmp_path)
     Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "0.png")
     with pytest.raises(InputError, match="expected one number a pixel, of 16 bits"):
-        predicted(steep, tmp_path)
+        predict_from(steep, tmp_path)
     (tmp_path / "0.tiff").write_bytes(b"")
     with pytest.raises(InputError, match=r"0\.\w+: 0\.\w+ is there too, .*; remove one of them"):
-        predicted(steep, tmp_path)
+        predict_from(steep, tmp_path)
 
 
 def test_views_that_were_cropped_from_their_photographs_get_their_part(tmp_path, steep):
     smaller = replace(steep, context=tuple(view.resized(100, 160) for view in steep.context))
-    assert off(smaller, saved(tmp_path, depth=true_depth(steep))) < 0.005
+    assert off(smaller, save(tmp_path, depth=true_depth(steep))) < 0.005

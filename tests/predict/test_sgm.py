@@ -44,7 +44,7 @@ def test_aggregation_is_exactly_the_recursion(shape, p1):
         assert np.array_equal(fast, plain_paths(costs, guide.astype(float), p1, 200, 12, 20.0))
 
 
-def split(total):
+def split_halves(total):
     """Any halves [2, 1, W, D] with this sum [W, D]."""
     half = np.random.default_rng(0).integers(0, total + 1)
     return np.stack([half, total - half])[:, None].astype(np.uint16)
@@ -54,7 +54,7 @@ def test_winner_is_the_vertex_of_a_parabola():
     d = np.arange(12)
     truth = np.linspace(1, 10, 40)
     total = (100 * (d - truth[:, None]) ** 2 + 7).astype(np.int64)
-    best, offset, margin = select_winners(split(total))
+    best, offset, margin = select_winners(split_halves(total))
     assert np.array_equal(best[0], total.argmin(-1))
     # Costs are whole numbers of at least 100 at one candidate's distance: off by up to 1 %.
     assert np.abs(best[0] + offset[0] - truth).max() < 0.01
@@ -64,7 +64,7 @@ def test_winner_is_the_vertex_of_a_parabola():
 def test_margin_is_against_the_best_that_is_not_a_neighbour():
     rng = np.random.default_rng(5)
     total = rng.integers(1, 2000, (50, 7))
-    best, _, margin = select_winners(split(total))
+    best, _, margin = select_winners(split_halves(total))
     for k, row in enumerate(total):
         gap = np.abs(np.arange(7) - row.argmin()) > 1
         assert best[0, k] == row.argmin()
@@ -72,10 +72,10 @@ def test_margin_is_against_the_best_that_is_not_a_neighbour():
 
 
 def test_flat_costs_win_nothing_and_ends_get_no_offset():
-    best, offset, margin = select_winners(split(np.full((3, 8), 500)))
+    best, offset, margin = select_winners(split_halves(np.full((3, 8), 500)))
     assert (margin == 0).all()
     assert (best == 0).all()
     falling = np.broadcast_to(np.arange(80, 0, -10), (3, 8))
-    best, offset, _ = select_winners(split(falling))
+    best, offset, _ = select_winners(split_halves(falling))
     assert (best == 7).all()
     assert (offset == 0).all()

@@ -15,7 +15,7 @@ CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1,
 
 
 @pytest.fixture(scope="module")
-def lifted():
+def lift():
     views = sample(*CAMERAS).context
     inverse_depths = [1 / view.depth for view in views]
     opacities = [np.full(view.depth.shape, 0.5, np.float32) for view in views]
@@ -42,8 +42,8 @@ def test_normals_do_not_mix_two_surfaces():
     assert np.allclose(result, [0, 0, -1], atol=1e-4)
 
 
-def test_one_gaussian_a_pixel_at_the_given_depth(lifted):
-    views, gaussians = lifted
+def test_one_gaussian_a_pixel_at_the_given_depth(lift):
+    views, gaussians = lift
     assert len(gaussians) == 2 * 120 * 160
     assert torch.equal(gaussians.source, torch.arange(len(gaussians), dtype=torch.int32))
     gaussians.check()
@@ -53,8 +53,8 @@ def test_one_gaussian_a_pixel_at_the_given_depth(lifted):
     assert np.allclose(colors, [view.image for view in views], atol=1e-3)
 
 
-def test_discs_are_thin_and_lie_along_the_surface(lifted):
-    _, gaussians = lifted
+def test_discs_are_thin_and_lie_along_the_surface(lift):
+    _, gaussians = lift
     R = rotation_matrices(gaussians.quats).numpy()
     assert np.allclose(np.linalg.det(R), 1, atol=1e-5)
     normal = NORMAL / np.linalg.norm(NORMAL)
@@ -63,8 +63,8 @@ def test_discs_are_thin_and_lie_along_the_surface(lifted):
     assert np.allclose(ratio, THICKNESS)
 
 
-def test_a_disc_covers_its_pixel_evenly(lifted):
-    _, gaussians = lifted
+def test_a_disc_covers_its_pixel_evenly(lift):
+    _, gaussians = lift
     first = CAMERAS[0]
     some = torch.arange(0, 120 * 160, 97)
     factor = rotation_matrices(gaussians.quats[some]) * gaussians.scales[some][:, None]

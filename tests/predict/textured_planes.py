@@ -60,7 +60,7 @@ def camera(
     return Camera(K, c2w, W, H, **settings)
 
 
-def links_of(*cameras: Camera, reach: int = 9) -> list[list[Link]]:
+def make_links(*cameras: Camera, reach: int = 9) -> list[list[Link]]:
     """Every view linked with the others up to ``reach`` before and after it."""
     return [
         [

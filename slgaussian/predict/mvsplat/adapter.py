@@ -23,7 +23,7 @@ CYCLE = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 """From (x, y, z) to (z, x, y), the axes of the rendering formula."""
 
 
-def gaussians_of(
+def make_gaussians(
     disparity: torch.Tensor, raw: torch.Tensor, camera: Camera
 ) -> dict[str, torch.Tensor]:
     """Compute the Gaussians of one view, one for each pixel in row-major order.

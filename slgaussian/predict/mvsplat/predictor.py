@@ -11,14 +11,13 @@ import numpy as np
 import torch
 from pydantic import PrivateAttr
 
-from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.pretrained import resolve_device
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
 from slgaussian.predict.configs import MVSplatConfig
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
-from slgaussian.predict.mvsplat.adapter import gaussians_of
+from slgaussian.predict.mvsplat.adapter import make_gaussians
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.predict.view_graph import link_views
@@ -76,7 +75,7 @@ class MVSplat(MVSplatConfig):
             reason = str(problem).splitlines()[0]
             raise InputError(f"mvsplat device {device!r}: cannot be used ({reason})") from None
 
-    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
+    def __call__(self, sample: Sample, seed: int = 0) -> Gaussians:
         """Predict one Gaussian for each context pixel, in the world frame of ``sample``.
 
         Gaussians are in the order of ``source``. ``seed`` is not used.
@@ -85,7 +84,7 @@ class MVSplat(MVSplatConfig):
             InputError: If near is not below far, or images are smaller than 16 pixels a side.
         """
         sample, frame = sample.localize()
-        near, far = _range(sample, graph)
+        near, far = _range(sample)
         views = [_crop(sample.scene, view) for view in sample.context]
         cameras = [_scale(view.camera, NEAR / near) for view in views]
         device = next(self._network.parameters()).device
@@ -96,7 +95,7 @@ class MVSplat(MVSplatConfig):
             with torch.autocast(device.type, torch.bfloat16, enabled=half):
                 output = self._network(images, cameras, NEAR, far * (NEAR / near))
             of_views = zip(output.disparity, output.raw, cameras, strict=True)
-            parts = [gaussians_of(*of_view) for of_view in of_views]
+            parts = [make_gaussians(*of_view) for of_view in of_views]
             fields: Any = {
                 name: torch.cat([part[name] for part in parts]).cpu() for name in parts[0]
             }
@@ -107,12 +106,12 @@ class MVSplat(MVSplatConfig):
         return Gaussians(**fields, opacities=opacities, source=source).place(frame)
 
 
-def _range(sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
+def _range(sample: Sample) -> tuple[float, float]:
     """Return near and far in scene units; without a far it is 100 times near."""
     cameras = [view.camera for view in sample.context]
     near = min((c.near for c in cameras if c.near is not None), default=None)
     if near is None:
-        near = estimate_near(sample.context, graph)
+        near = estimate_near(sample)
     far = max((c.far for c in cameras if c.far is not None), default=near * FAR / NEAR)
     if near >= far:
         raise InputError(
@@ -121,18 +120,18 @@ def _range(sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
     return near, far
 
 
-def estimate_near(views: Sequence[View], graph: MatchGraph | None = None) -> float:
+def estimate_near(sample: Sample) -> float:
     """Estimate the near plane that the networks expect, in the units of the scene.
 
     See "Units" in :class:`slgaussian.predict.mvsplat.predictor.MVSplat`.
     """
-    links = link_views(views, graph or MatchGraph.of(views), ranged=True).links
+    links = link_views(sample, ranged=True).links
     sparse = [np.concatenate([link.sparse for link in sources]) for sources in links]
     if min(map(len, sparse)) >= MIN_MATCHES:
         # The 95th percentile of inverse depths is the 5th of depths.
         depths = [1 / np.percentile(inverse, 95) for inverse in sparse]
         return float(np.percentile(depths, 10)) / NEAREST_DEPTH
-    centres = [view.camera.center for view in views]
+    centres = [view.camera.center for view in sample.context]
     return min(float(np.linalg.norm(a - b)) for a, b in combinations(centres, 2))
 
 

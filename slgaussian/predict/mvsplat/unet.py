@@ -21,7 +21,7 @@ def conv(inputs: int, outputs: int, stride: int = 1) -> nn.Conv2d:
     return nn.Conv2d(inputs, outputs, 3, stride, padding=1)
 
 
-def normed(inputs: int, outputs: int) -> nn.Sequential:
+def normalise(inputs: int, outputs: int) -> nn.Sequential:
     """Convolution, group normalisation, SiLU."""
     norm = nn.GroupNorm(GROUPS, outputs)
     return nn.Sequential(conv(inputs, outputs), norm, nn.SiLU(inplace=True))
@@ -40,8 +40,8 @@ class ResBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.in_layers = normed(inputs, outputs)
-        self.out_layers = normed(outputs, outputs)
+        self.in_layers = normalise(inputs, outputs)
+        self.out_layers = normalise(outputs, outputs)
         self.skip_connection = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -100,7 +100,7 @@ class UNet(nn.Module):
         middle = ResBlock(width, width), nn.Identity(), ResBlock(width, width)
         self.middle_block = nn.Sequential(*middle)
         self.output_blocks = nn.ModuleList(up)
-        self.out = normed(width, width)
+        self.out = normalise(width, width)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """[V, C, H, W] to the same; H and W are multiples of 2^(levels - 1)."""

@@ -61,7 +61,7 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     with torch.no_grad():
         message = network(images, cameras, near=1.0, far=100.0)
         lifted = [
-            adapter.gaussians_of(*view)
+            adapter.make_gaussians(*view)
             for view in zip(message.disparity, message.raw, cameras, strict=True)
         ]
     for hook in hooks:
@@ -131,7 +131,7 @@ def test_lifted_gaussians_have_these_colours():
     first = camera(size=(8, 8), focal=10.0, x=0.4, y=-0.2, turn=0.5)
     generator = torch.Generator().manual_seed(0)
     raw = torch.randn(8, 8, 57, generator=generator)
-    fields = adapter.gaussians_of(torch.full((8, 8), 0.5), raw, first)
+    fields = adapter.make_gaussians(torch.full((8, 8), 0.5), raw, first)
     rest = {"opacities": torch.ones(64), "source": torch.arange(64, dtype=torch.int32)}
     gaussians, eye = Gaussians(**fields, **rest), np.array([0.3, 1.0, -0.7])
     window = replace(first, c2w=np.block([[np.eye(3), eye[:, None]], [0, 0, 0, 1]]))

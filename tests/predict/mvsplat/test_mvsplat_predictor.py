@@ -25,7 +25,7 @@ def pair(height: int = 64, width: int = 64, **settings: float) -> Sample:
     return sample(camera(**scene), camera(x=0.4, turn=-0.1, **scene))
 
 
-def scaled(scene: Sample, factor: float) -> Sample:
+def scale(scene: Sample, factor: float) -> Sample:
     def view(first: View) -> View:
         c2w = first.camera.c2w.copy()
         c2w[:3, 3] *= factor
@@ -68,8 +68,8 @@ def test_gaussians_lie_on_the_rays_of_their_pixels(predict):
 def test_gaussians_scale_with_the_scene(predict):
     scene = pair(96, 128)
     # By matches, and not by the distance between the views, which is 0.4.
-    assert 1.5 < estimate_near(scene.context) < 2.5
-    first, ten = predict(scene), predict(scaled(scene, 10.0))
+    assert 1.5 < estimate_near(scene) < 2.5
+    first, ten = predict(scene), predict(scale(scene, 10.0))
     # The same numbers to rounding: matches are triangulated in float64.
     torch.testing.assert_close(ten.means, 10 * first.means, rtol=1e-4, atol=1e-3)
     torch.testing.assert_close(ten.scales, 10 * first.scales, rtol=1e-4, atol=0)
@@ -83,7 +83,7 @@ def test_without_matches_the_baseline_is_the_unit():
         replace(view, image=np.full_like(view.image, 90 + 20 * i))
         for i, view in enumerate(scene.context)
     ]
-    assert estimate_near(blank) == pytest.approx(0.4)
+    assert estimate_near(replace(scene, context=tuple(blank))) == pytest.approx(0.4)
 
 
 def test_the_world_frame_does_not_matter(predict):
