@@ -18,8 +18,6 @@ from prefect.client.orchestration import get_client
 from prefect.events.schemas.automations import AutomationCore
 from prefect.settings import PREFECT_API_URL
 
-from slgaussian.storage.remote import redacted
-
 AUTOMATIONS = Path(__file__).with_name("automations.yaml")
 
 
@@ -65,6 +63,6 @@ if __name__ == "__main__":
         print("\n".join(apply_automations(read_automations(), sys.argv[1])))
     except HTTPError as error:
         sys.exit(
-            f"error: the Prefect server at {redacted(server)} failed ({error}); start it with "
+            f"error: the Prefect server at {redact(server)} failed ({error}); start it with "
             "`prefect server start`, or correct PREFECT_API_URL"
         )

@@ -45,7 +45,7 @@ from flows.scene import (
 )
 from flows.scenes import DATASET, PATH_SUBDIVISIONS, labelled_scenes, room_scene, seeds
 from flows.sweep import VIEWS, combinations, sweep_tasks
-from slgaussian.benchmark.costs import StageCost, Times, costs_of
+from slgaussian.benchmark.costs import StageCost, Times, measure_costs
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.lineage import lineage_table
 from slgaussian.benchmark.outputs import Masks, write_masks, write_samples, write_table
@@ -57,7 +57,7 @@ from slgaussian.kernels import threads
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from slgaussian.storage.tables import read_table
-from tasks.artifacts import predictions_of, result_from_arrays
+from tasks.artifacts import decode_predictions, result_from_arrays
 from tasks.benchmark import Scored, baselines, report
 from tasks.stage import Stage
 
@@ -128,7 +128,7 @@ def check(config: Settings, store: ArtifactStore) -> tuple[list[SceneSettings], 
 
     InputError as in :func:`score_scenes`.
     """
-    scenes, notes = scenes_of(config)
+    scenes, notes = find_scenes(config)
     for settings in (config, *(variant.settings for variant in combinations(config))):
         settings.field_method.check()
     chosen_baselines(config.against)
@@ -227,7 +227,7 @@ def _cost(stage: Stage, outcome: Outcome) -> StageCost:
     return StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
 
 
-def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
+def find_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     """Return the scenes of a run, of a labelled set, procedural rooms and a list, and messages."""
     labelled = any((settings.data, settings.pairs, settings.labels))
     scenes, notes = labelled_scenes(settings) if labelled else ([], [])
@@ -265,7 +265,7 @@ def _write(
                 results.append(replace(result, rows=Rows.from_rows(result.rows)))
                 answers = ({**row, "build_seconds": seconds} for row in ref.meta["costs"])
                 parts.append(Rows.from_rows(answers, "times"))
-                yield result.method, result.scene, predictions_of(arrays)
+                yield result.method, result.scene, decode_predictions(arrays)
 
     write_masks(masks(), out)
     rows = Rows.join(result.rows for result in results)
@@ -288,7 +288,7 @@ def _write(
             "workers": str(settings.workers),
         }
         paper = settings.method if settings.preset == "paper" else ""
-        took = Times(computed.costs, host, costs_of(costs), paper)
+        took = Times(computed.costs, host, measure_costs(costs), paper)
         pages = store.get(computed.report)
         names = {"html": "html", "md": "markdown"}
         forms = {form: pages[name].tobytes().decode() for form, name in names.items()}

@@ -16,7 +16,7 @@ from flows.config import CorpusSettings
 from flows.runners.batches import Failure, SceneTask, map_scenes
 from flows.runners.progress import Progress
 from flows.runners.task_runners import Workers
-from flows.scenes import folder_of, seeds
+from flows.scenes import find_data_folder, seeds
 from slgaussian.datasets import colmap, re10k
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.sources import PosedFolder, Room
@@ -111,7 +111,7 @@ def _contents(location: str) -> Iterable[PosedFolder | Room | str]:
             f"of chunks, or {ROOMS_PREFIX}FIRST-LAST"
         )
     # A scene is named after the folder above a camera file or a COLMAP model.
-    scene_folder = colmap.scene_folder(folder_of(path))
+    scene_folder = colmap.scene_folder(find_data_folder(path))
     return [PosedFolder(scene_folder.name, path)]
 
 

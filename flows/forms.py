@@ -109,7 +109,7 @@ def with_default(text: str, default: Any) -> str:
     return f"{text} [default: {value}]"
 
 
-def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+def merge_tables(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """Return ``under`` updated by ``over``; tables are merged key by key."""
     tables = [name for name in under if isinstance(under[name], dict)]
     both = {n: {**under[n], **over[n]} for n in tables if isinstance(over.get(n), dict)}
@@ -135,7 +135,7 @@ class Form(Config):
         if isinstance(values, cls):
             return values
         given = {key: value for key, value in values.items() if value is not None}
-        return layered(preset_values(given.get("preset"), cls.preset_prefix), given)
+        return merge_tables(preset_values(given.get("preset"), cls.preset_prefix), given)
 
     @classmethod
     def __get_pydantic_json_schema__(

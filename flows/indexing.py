@@ -52,7 +52,7 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
     if not pairs:
         text = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InputError(f"{labels or data}: no labelled frame has a pair ({text or 'no labels'})")
-    index = Index(format=settings.format, rule=rule.described(), scenes=pairs, left_out=left_out)
+    index = Index(format=settings.format, rule=rule.describe(), scenes=pairs, left_out=left_out)
     write_index(out, index)
     return index
 
@@ -132,7 +132,7 @@ def _look(scene: Scene) -> tuple[list[str], Views, list[Thumbnail], dict[str, st
         except InputError as error:
             unreadable[name] = str(error)
     cameras = [
-        scene.cameras[name].resized(*grey.shape[::-1])
+        scene.cameras[name].resize(*grey.shape[::-1])
         for name, grey in zip(names, greys, strict=True)
     ]
     mean, clipped = np.array([exposure(grey) for grey in greys]).reshape(-1, 2).T

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from flows.config import TABLES, MethodSettings, Settings
-from flows.forms import layered
+from flows.forms import merge_tables
 from slgaussian.components.registry import KINDS
 from slgaussian.errors import InputError
 from slgaussian.storage.remote import check_url
@@ -24,7 +24,7 @@ URLS = ("store", "sources")
 """Settings that may be URLs, one or several."""
 
 
-def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
+def validate_settings(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
     """Return ``model(**values)``; InputError, which names source and key."""
     for name in URLS:
         for url in [values[name]] if isinstance(values.get(name), str) else values.get(name) or ():
@@ -54,13 +54,13 @@ def read_toml(
         InputError: If the file cannot be read, a key is unknown or a value is invalid.
     """
     values = overrides if path is None else read_values(path, overrides)
-    settings = checked(model, values, command if path is None else str(path))
+    settings = validate_settings(model, values, command if path is None else str(path))
     refuse_idle(overrides, settings, command)
     return settings
 
 
 def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
-    """Read the values of a TOML file, merged with ``overrides`` by :func:`layered`.
+    """Read the values of a TOML file, merged with ``overrides`` by :func:`merge_tables`.
 
     Relative paths in the file are relative to its folder, those of ``overrides`` are not.
 
@@ -73,7 +73,7 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
         raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
-    return layered(resolve_paths(values, path.resolve().parent), overrides)
+    return merge_tables(resolve_paths(values, path.resolve().parent), overrides)
 
 
 def resolve_paths(values: dict[str, Any], folder: Path) -> dict[str, Any]:

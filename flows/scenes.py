@@ -123,7 +123,7 @@ def _scene(
             return None
     return SceneSettings(
         name=name,
-        dataset=folder_of(data).name,
+        dataset=find_data_folder(data).name,
         format=format,
         options=pair.options,
         path=data,
@@ -134,6 +134,6 @@ def _scene(
     )
 
 
-def folder_of(data: Path) -> Path:
+def find_data_folder(data: Path) -> Path:
     """Return the absolute folder of data, which may be given by a file in it, also by a link."""
     return (data.parent if data.is_file() else data).resolve()

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flows.benchmark import RUN_FILES, scenes_of
+from flows.benchmark import RUN_FILES, find_scenes
 from flows.config import SceneSettings, Settings
 from flows.indexing import label_places
 from flows.runners.session import check_folder
 from flows.scene import evaluation, labels, photographs, target_size
-from flows.scenes import folder_of
+from flows.scenes import find_data_folder
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth
 from slgaussian.benchmark.external_predictions import (
@@ -67,7 +67,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     predictions = read_predictions(place, protocols)
     chosen = [load_protocol(name) for name in dict.fromkeys(protocols or predictions.protocols)]
     by_labels = settings.data and settings.pairs is None and settings.rooms is None
-    scenes, messages = ([], []) if by_labels else scenes_of(settings)
+    scenes, messages = ([], []) if by_labels else find_scenes(settings)
     judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
     parts, masks = [], []
     for result in score_predictions(predictions, judged, chosen):
@@ -115,4 +115,4 @@ def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
             masks |= truth.masks
             boxes |= truth.boxes
             opaque |= truth.opaque
-        yield JudgedScene(name, folder_of(data).name, None, Truth(masks, boxes, opaque))
+        yield JudgedScene(name, find_data_folder(data).name, None, Truth(masks, boxes, opaque))

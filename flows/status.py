@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from flows.benchmark import SWEPT_STAGES, scenes_of
+from flows.benchmark import SWEPT_STAGES, find_scenes
 from flows.clip_sources import find_sources, source_tasks
 from flows.config import CorpusSettings, Settings
 from flows.corpus import lesson_arguments, make_lessons
@@ -40,7 +40,7 @@ def look_up(
         pipeline = make_lessons, lesson_arguments(config)
         results = look_up_scenes(source_tasks(find_sources(config.sources), *pipeline), store)
         return [(results, versions((packed, views, pairs, predictions, lessons)))]
-    scenes, _ = scenes_of(config)
+    scenes, _ = find_scenes(config)
     ours = look_up_scenes([scene_task(config, scene) for scene in scenes], store)
     refs = {result.scene: result.refs for result in ours if result.failure is None}
     complete = [scene for scene in scenes if scene.name in refs]

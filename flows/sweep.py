@@ -12,8 +12,8 @@ from itertools import product
 from typing import Any
 
 from flows.config import TABLES, Method, SceneSettings, Settings
-from flows.forms import layered, preset_values
-from flows.read_config import checked, refuse_idle
+from flows.forms import merge_tables, preset_values
+from flows.read_config import refuse_idle, validate_settings
 from flows.runners.batches import Failure, SceneTask
 from flows.scene import method_task_name, scene_task
 from slgaussian import datasets
@@ -63,7 +63,7 @@ class Combination:
             raise InputError(f"scene {scene.name!r}: has no targets to compare numbers of views at")
         paths = [] if scene.path is None else [scene.path]
         scene_data = replace(datasets.load(scene.format, *paths, **scene.options), name=scene.name)
-        context = context_views.context_of(scene_data, scene.context, scene.targets, self.views)
+        context = context_views.choose_context(scene_data, scene.context, scene.targets, self.views)
         return scene.model_copy(update={"context": list(context)})
 
 
@@ -126,9 +126,9 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
                 raise InputError(f"sweep: views: found {value!r}, expected a number from 2")
             views = int(value)
         elif field == PRESET:
-            changes = layered(changes, {**preset_values(value), PRESET: value})
+            changes = merge_tables(changes, {**preset_values(value), PRESET: value})
         elif dot and table in TABLES:
-            changes = layered(changes, {table: {**changes.get(table, {}), key: value}})
+            changes = merge_tables(changes, {table: {**changes.get(table, {}), key: value}})
         elif field in Method.model_fields:
             changes[field] = value
         else:
@@ -138,7 +138,7 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
                 f"the method's, as in a configuration file, or views or preset"
             )
     base = settings.model_dump()
-    changed = checked(Settings, layered(base, changes), "sweep")
+    changed = validate_settings(Settings, merge_tables(base, changes), "sweep")
     refuse_idle(changes, changed, "sweep")
     return Combination(changed, fields, views)
 

@@ -20,7 +20,7 @@ from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.method import Method
 from slgaussian.copies import are_copies
-from slgaussian.datasets.re10k import Clip, clip_of
+from slgaussian.datasets.re10k import Clip, encode_clip
 from slgaussian.errors import InputError, check_type
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
@@ -180,11 +180,11 @@ def make_clip(
     def read(name: str) -> View:
         view = scene.read(name)
         height, width = view.image.shape[:2]
-        shrunk[name] = view.resized(*fit_size(height, width, "auto"))
+        shrunk[name] = view.resize(*fit_size(height, width, "auto"))
         return view
 
     errors: list[InputError] = []
-    clip = clip_of(replace(scene, read=read), errors.append)
+    clip = encode_clip(replace(scene, read=read), errors.append)
     unused = dict(scene.left_out)
     if checked and not scene.estimation and len(shrunk) > 1:
         sample = replace(scene, read=shrunk.__getitem__).sample(list(shrunk))
@@ -192,7 +192,7 @@ def make_clip(
         check_cameras(sample, trust_cameras)
         if useless:
             cameras = {view.name: scene.cameras[view.name] for view in sample.context}
-            clip, unused = clip_of(replace(scene, cameras=cameras)), {**unused, **useless}
+            clip, unused = encode_clip(replace(scene, cameras=cameras)), {**unused, **useless}
     return clip, errors + [InputError(f"{name}: {reason}") for name, reason in unused.items()]
 
 

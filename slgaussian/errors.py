@@ -52,7 +52,7 @@ def did_you_mean(text: object, options: Iterable[str]) -> str:
     return f"; did you mean {plain[near[0]]!r}?" if near else ""
 
 
-def listed(groups: Iterable[Iterable[str]]) -> str:
+def join_names(groups: Iterable[Iterable[str]]) -> str:
     """List groups of names for a message, for example unconnected views; long lists are cut."""
     sorted_groups = [sorted(names) for names in groups]
     parts = []

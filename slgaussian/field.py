@@ -262,11 +262,14 @@ class SemanticField:
 
     def _picture(self, camera: Camera, backend: str) -> Picture:
         """Render colours, codes and their weight, as arrays on the CPU."""
-        from slgaussian.rasterize.picture import Picture, picture, seen_colors
+        from slgaussian.rasterize.picture import Picture, compute_view_colours, picture
 
         gaussians = self.visible
         if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
-            values, features = seen_colors(gaussians, camera), gaussians.to_arrays()["features"]
+            values, features = (
+                compute_view_colours(gaussians, camera),
+                gaussians.to_arrays()["features"],
+            )
             return picture(gaussians, np.concatenate([values, features], 1), camera)
         import torch
 
@@ -276,7 +279,7 @@ class SemanticField:
         drawn = torch.cat([colours, codes], 1)
         return Picture.of(rasterize(gaussians, drawn, camera, backend=backend))
 
-    def changed(self, **parts: Any) -> SemanticField:
+    def with_changes(self, **parts: Any) -> SemanticField:
         """Return the field with ``parts`` replaced; cached results that stay valid are shared."""
         result = replace(self, **parts)
         valid = {"encoder"}
@@ -290,7 +293,7 @@ class SemanticField:
         return result
 
     def _edit(self, **edits: Any) -> SemanticField:
-        return self.changed(edits=replace(self.edits, **edits))
+        return self.with_changes(edits=replace(self.edits, **edits))
 
     def teach(self, word: str, object_id: int) -> SemanticField:
         """Return the field with an object as an example of ``word``.
@@ -310,13 +313,13 @@ class SemanticField:
         """Return the field without a taught word; InputError if it is not taught."""
         return self._edit(taught=self.edits.taught.remove(word))
 
-    def named(self, object_id: int, name: str) -> SemanticField:
+    def rename(self, object_id: int, name: str) -> SemanticField:
         """Return the field with a name for an object; an empty name deletes it.
 
         InputError if there is no such object, or the name is too long.
         """
         self.bank.row(object_id)
-        return self.changed(edits=self.edits.rename(object_id, name))
+        return self.with_changes(edits=self.edits.rename(object_id, name))
 
     def without(self, ids: Iterable[int]) -> SemanticField:
         """Return the field with these objects removed; InputError if one does not exist."""
@@ -337,12 +340,12 @@ class SemanticField:
 
     def drop_hidden(self) -> SemanticField:
         """Return the field without the Gaussians of removed objects, which is not reversible."""
-        return self.changed(gaussians=self.visible)
+        return self.with_changes(gaussians=self.visible)
 
     def only(self, ids: Iterable[int]) -> SemanticField:
         """Return the field with only the Gaussians of these objects; InputError if one is none."""
         chosen = np.isin(self.labels(), list(self._check_ids(ids)))
-        return self.changed(gaussians=self.gaussians[chosen])
+        return self.with_changes(gaussians=self.gaussians[chosen])
 
     def _check_ids(self, ids: Iterable[int]) -> frozenset[int]:
         return frozenset(int(self.bank.ids[self.bank.row(id_)]) for id_ in ids)
@@ -377,9 +380,9 @@ class SemanticField:
 
     @cached_property
     def _decoder(self) -> Decoder | NearestCode:
-        from slgaussian.semantic.decode import decoder_of
+        from slgaussian.semantic.decode import make_decoder
 
-        return decoder_of(self.bank, self.settings)
+        return make_decoder(self.bank, self.settings)
 
     def labels(self) -> np.ndarray:
         """Return the main object of each Gaussian: int32 [N], 0 for none."""
@@ -415,7 +418,7 @@ class SemanticField:
             "objects": self.objects(),
         }
 
-    def made(self) -> Provenance:
+    def provenance(self) -> Provenance:
         """Return the provenance for files of fields that no stage of a run has built."""
         results = ("account", "quality", "verdict")
         settings = {name: value for name, value in self.settings.items() if name not in results}
@@ -431,7 +434,7 @@ class SemanticField:
             InputError: If the folder cannot be written, or holds something that is not a field.
         """
         field_folder.check_target(Path(path))
-        with record_provenance(self.made()):
+        with record_provenance(self.provenance()):
             files = {
                 spec: encode_artifact(spec, content, field_folder.FILES[spec])
                 for spec, content in self.contents().items()

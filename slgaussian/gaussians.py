@@ -207,7 +207,7 @@ class Gaussians:
         return replace(self, **changed)
 
     @staticmethod
-    def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
+    def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
         """Concatenate Gaussians, which must have the same fields and origin."""
         joined: Any
         names = [name for name, _ in parts[0]._present()]

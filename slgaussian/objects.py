@@ -67,7 +67,7 @@ def list_objects(
     for camera in field.cameras.values():
         shrink = min(1.0, RENDERED_SIDE / max(camera.width, camera.height))
         size = round(camera.width * shrink), round(camera.height * shrink)
-        cameras.append(camera.resized(*size))
+        cameras.append(camera.resize(*size))
     looks = [field.render(camera) for camera in cameras]
     sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
     for look in looks:

@@ -26,7 +26,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats.images import MAX_PIXELS
 from slgaussian.formats.resampling import Fit, Window
 from slgaussian.io import short_repr
-from slgaussian.kernels.seeding import content_of
+from slgaussian.kernels.seeding import hash_arrays
 
 if TYPE_CHECKING:  # it imports this module
     from slgaussian.cameras.match_graph import MatchGraph
@@ -217,12 +217,12 @@ class Camera:
         """Unproject a z-depth map [H, W] in scene units to world points float64 [H, W, 3]."""
         return self.center + self.rays() * np.asarray(depth, np.float64)[..., None]
 
-    def resized(self, width: int, height: int) -> Camera:
+    def resize(self, width: int, height: int) -> Camera:
         """Return the camera with its image stretched to ``width`` x ``height``."""
         K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
         return replace(self, K=K, width=width, height=height)
 
-    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+    def crop(self, left: int, top: int, width: int, height: int) -> Camera:
         """Return the camera with its image cropped to a window."""
         K = self.K.copy()
         K[0, 2] -= left
@@ -274,7 +274,7 @@ class View:
                 object.__setattr__(self, name, np.where(self.opaque, truth, truth.dtype.type(0)))
 
     @property
-    def shown(self) -> Window:
+    def visible_window(self) -> Window:
         """Window of the photograph that the view shows."""
         return self.window or Window.whole(self.camera.width, self.camera.height)
 
@@ -298,7 +298,7 @@ class View:
         """The photograph in small, by which copies are recognised."""
         return Thumbnail.of(self.image)
 
-    def resized(self, height: int, width: int) -> View:
+    def resize(self, height: int, width: int) -> View:
         """Scale to cover ``height`` x ``width``, then crop the centre, ground truth included.
 
         See :mod:`slgaussian.formats.resampling`.
@@ -307,16 +307,16 @@ class View:
         if (camera.height, camera.width) == (height, width):
             return self
         fit = Fit.cover(camera.width, camera.height, width, height)
-        part, size = Window.whole(camera.width, camera.height).cropped(fit), (height, width)
-        full = camera.resized(fit.full_width, fit.full_height)
+        part, size = Window.whole(camera.width, camera.height).crop(fit), (height, width)
+        full = camera.resize(fit.full_width, fit.full_height)
         return replace(
             self,
-            camera=full.cropped(fit.left, fit.top, width, height),
+            camera=full.crop(fit.left, fit.top, width, height),
             image=fit.photograph(self.image),
             depth=None if self.depth is None else part.depth(self.depth, *size),
             instances=None if self.instances is None else part.ids(self.instances, *size),
             opaque=None if self.opaque is None else part.mask(self.opaque, *size),
-            window=self.shown.cropped(fit),
+            window=self.visible_window.crop(fit),
         )
 
 
@@ -387,14 +387,14 @@ class Sample:
         It seeds random draws (:mod:`slgaussian.kernels.seeding`). Cameras are excluded, because the
         last digits of estimated ones depend on the CPU.
         """
-        return content_of(*(view.image for view in self.context))
+        return hash_arrays(*(view.image for view in self.context))
 
-    def resized(self, height: int, width: int) -> Sample:
+    def resize(self, height: int, width: int) -> Sample:
         """Scale and centre-crop all views to one size."""
         return replace(
             self,
-            context=tuple(view.resized(height, width) for view in self.context),
-            targets=tuple(view.resized(height, width) for view in self.targets),
+            context=tuple(view.resize(height, width) for view in self.context),
+            targets=tuple(view.resize(height, width) for view in self.targets),
             matches=None,
         )
 
@@ -475,7 +475,7 @@ class Scene:
         reasons = self.estimation.get("left_out")
         return reasons if isinstance(reasons, dict) else {}
 
-    def placed(self, names: Sequence[str]) -> list[str]:
+    def with_cameras(self, names: Sequence[str]) -> list[str]:
         """Return the names (as for :meth:`find`) without those of :attr:`left_out`."""
         return [
             name
@@ -576,7 +576,7 @@ class Scene:
             self._report_smallest(names, *fit_size(*smallest, sizes[0]), sizes[0])
         for name, size in zip(names, sizes, strict=True):
             view = self.read(name).among(photographs)
-            yield view if size == "original" else view.resized(*fit_size(*smallest, size))
+            yield view if size == "original" else view.resize(*fit_size(*smallest, size))
 
     def _report_smallest(self, names: Sequence[str], height: int, width: int, size: Size) -> None:
         """Warn if one photograph leaves less than :data:`MIN_SHARE` of the others to be used."""

@@ -16,7 +16,7 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats import rle
-from slgaussian.formats.images import opened
+from slgaussian.formats.images import open_image
 from slgaussian.formats.resampling import Window
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Estimated, Sample, View
@@ -82,7 +82,7 @@ def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
             stack = np.stack([blank if pixels is None else pixels for pixels in maps])
             arrays[name] = stack.astype(dtype)
     if any(view.window is not None for view in views):
-        arrays["window"] = np.array([astuple(view.shown) for view in views], np.float64)
+        arrays["window"] = np.array([astuple(view.visible_window) for view in views], np.float64)
     if any(view.namesakes for view in views):
         arrays["namesakes"] = np.array([json.dumps(view.namesakes) for view in views], np.str_)
     estimates = [view.camera.estimated for view in views]
@@ -179,7 +179,7 @@ def put_field(store: ArtifactStore, field: SemanticField) -> ArtifactRef:
     ``meta`` has the numbers of ``gaussians`` and ``objects``, and the ``account``.
     """
     counts = {"gaussians": len(field.gaussians), "objects": len(field.bank)}
-    with record_provenance(current_provenance() or field.made()):
+    with record_provenance(current_provenance() or field.provenance()):
         refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
         digests = {spec: ref.digest for spec, ref in refs.items()}
         description = About(field.settings, field.cameras, digests).to_json()
@@ -239,7 +239,7 @@ def result_from_arrays(arrays: Arrays) -> SceneResult:
     )
 
 
-def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], rle.RunLengths]:
+def decode_predictions(arrays: Arrays) -> dict[tuple[str, str, str], rle.RunLengths]:
     """Return the predicted masks of spec ``scene_result`` by protocol, frame, query."""
     keys = [tuple(names) for names in arrays["prediction_names"].tolist()]
     counts = _unpack(arrays["prediction_ends"], arrays["prediction_counts"])
@@ -248,17 +248,17 @@ def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], rle.RunLengths]
     return dict(zip(keys, masks, strict=True))
 
 
-def pictures_of(arrays: Arrays) -> dict[str, bytes]:
+def decode_pictures(arrays: Arrays) -> dict[str, bytes]:
     """Return the pictures of spec ``scene_result`` as PNG files by name."""
     blobs = _unpack(arrays["picture_ends"], arrays["picture_png"])
     return dict(zip(arrays["picture_names"].tolist(), blobs, strict=True))
 
 
-def decoded(files: Mapping[Key, bytes]) -> dict[Key, np.ndarray]:
+def decode_pngs(files: Mapping[Key, bytes]) -> dict[Key, np.ndarray]:
     """Decode PNG files by name."""
     images = {}
     for name, png in files.items():
-        with opened(io.BytesIO(png)) as image:
+        with open_image(io.BytesIO(png)) as image:
             images[name] = np.asarray(image)
     return images
 

@@ -25,11 +25,11 @@ from slgaussian.kernels import compiling
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
-    decoded,
+    decode_pictures,
+    decode_pngs,
+    decode_predictions,
     get_field,
     labels_from_arrays,
-    pictures_of,
-    predictions_of,
     result_from_arrays,
     result_to_arrays,
     sample_from_arrays,
@@ -204,7 +204,9 @@ def _report_scene(store: ArtifactStore, scored: Scored, ours: SceneResult) -> Sc
         name=scored.scene,
         dataset=ours.dataset,
         metrics=ours.scene_metrics,
-        pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
+        pictures=lambda: decode_pngs(decode_pictures(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
-        masks=lambda: {k: m.decode() for k, m in predictions_of(store.get(scored.answer)).items()},
+        masks=lambda: {
+            k: m.decode() for k, m in decode_predictions(store.get(scored.answer)).items()
+        },
     )

@@ -14,7 +14,7 @@ from slgaussian.datasets import re10k
 from slgaussian.datasets.clip_views import describe_views, known_views
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.pair_selection import TARGETS, choose
-from slgaussian.datasets.shards import key_of
+from slgaussian.datasets.shards import make_key
 from slgaussian.datasets.sources import PosedFolder, Room
 from slgaussian.errors import InputError
 from slgaussian.io import CHANGED_FILE, KnownFile
@@ -81,7 +81,7 @@ def packed(run: RunContext, source: PosedFolder | Room, trust_cameras: bool = Fa
     scene = source.scene()
     clip, errors = make_clip(scene, isinstance(source, PosedFolder), trust_cameras)
     bad = [left_out(source.name, error) for error in errors]
-    data = np.frombuffer(re10k.encoded([clip]), np.uint8)
+    data = np.frombuffer(re10k.encode_chunk([clip]), np.uint8)
     meta = {"cameras": describe_cameras(scene.cameras.values()), "left_out": bad}
     return run.store.put("packed", {"torch": data}, meta)
 
@@ -129,7 +129,7 @@ def pairs(
             frames = [view["frame"] for view in selected]
             rows.append(
                 {
-                    "sample": f"{key_of(clip)}_{frames[0]:04d}_{frames[1]:04d}",
+                    "sample": f"{make_key(clip)}_{frames[0]:04d}_{frames[1]:04d}",
                     "clip": clip,
                     "context": frames[:2],
                     "targets": frames[2:],

@@ -205,7 +205,7 @@ def camera(x: float) -> Camera:
 def make_clip(key: str) -> re10k.Clip:
     cameras = {str(i): camera(i) for i in range(3)}
     pictures = {name: View(name, cam, picture(int(name), 3)) for name, cam in cameras.items()}
-    return re10k.clip_of(Scene(key, cameras, pictures.__getitem__))
+    return re10k.encode_clip(Scene(key, cameras, pictures.__getitem__))
 
 
 def make_chunks(folder: Path) -> None:
@@ -285,7 +285,7 @@ def make_field(folder: Path) -> None:
     bank = MemoryBank(np.array([3, 7], np.int32), codes, features, np.ones((2, 2), bool))
     cameras = {"a": camera(0), "b": camera(1)}
     field = SemanticField(gaussians(), bank, cameras, {"encoder": "lexicon", "codes": "grid"})
-    field.teach("fox", 3).named(7, "Anna's").without([7]).save(folder / "field")
+    field.teach("fox", 3).rename(7, "Anna's").without([7]).save(folder / "field")
 
 
 def make_arrays(folder: Path) -> None:

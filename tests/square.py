@@ -25,7 +25,7 @@ def camera(x: float) -> Camera:
     return pinhole.camera(W, H, FOCAL, place=(x, 0, 0))
 
 
-def looked(cam: Camera, square: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def label_view(cam: Camera, square: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Return labels int32 [H, W] and depth of a view, with or without the square."""
     size = cam.height, cam.width
     wall, near = (cam.unproject(np.full(size, z)) for z in (WALL, NEAR))
@@ -39,8 +39,8 @@ def square_field(
     codes: str, times: int = 1, settings: Mapping[str, Any] | None = None
 ) -> SemanticField:
     """The field, with ID codes of this strategy; its photographs so many times as large."""
-    cameras = [camera(x).resized(times * W, times * H) for x in (-0.4, 0.4)]
-    rendered = [looked(cam) for cam in cameras]
+    cameras = [camera(x).resize(times * W, times * H) for x in (-0.4, 0.4)]
+    rendered = [label_view(cam) for cam in cameras]
     images = [np.array([COLOURS[i] for i in labels.ravel()], np.uint8) for labels, _ in rendered]
     views = [
         View(name, cam, image.reshape(cam.height, cam.width, 3))

@@ -23,7 +23,7 @@ from tests.square import (
     H,
     W,
     camera,
-    looked,
+    label_view,
     square_field,
 )
 
@@ -46,17 +46,17 @@ def test_word_taught_by_a_click_is_found_in_another_view(field):
     id_ = int(field.render(field.cameras["a"]).ids[y, x])
     assert id_ == YELLOW
     hit = field.teach("zorp", id_).render(field.cameras["b"]).query("ZORP")
-    truth = looked(field.cameras["b"])[0] == YELLOW
+    truth = label_view(field.cameras["b"])[0] == YELLOW
     assert hit.kind == "taught" and [id_ for id_, _ in hit.objects] == [YELLOW]
     assert (hit.mask & truth).sum() / (hit.mask | truth).sum() > 0.8
     assert field.render(field.cameras["b"]).query("zorp").verdict == "cannot tell"
 
 
 def test_undo_of_all_edits_restores_the_original_renderings(field):
-    edited = field.teach("zorp", RED).named(BLUE, "Sea").without([YELLOW])
+    edited = field.teach("zorp", RED).rename(BLUE, "Sea").without([YELLOW])
     assert not len(field.edits.taught) and not field.edits.names and not field.edits.removed
     assert edited.edits.names == {BLUE: "Sea"} and edited.edits.removed == {YELLOW}
-    undone = edited.forget("zorp").named(BLUE, " ").restore([YELLOW])
+    undone = edited.forget("zorp").rename(BLUE, " ").restore([YELLOW])
     a, b = (version.render(field.cameras["a"]) for version in (field, undone))
     for name in ("rgb", "ids", "alpha", "depth"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
@@ -65,32 +65,32 @@ def test_undo_of_all_edits_restores_the_original_renderings(field):
 
 def test_removal_shows_observed_background_and_stripes_elsewhere(field):
     edited, cam = field.without([YELLOW]), camera(0.0)
-    behind, _ = looked(cam, square=False)
+    behind, _ = label_view(cam, square=False)
     points = cam.unproject(np.full((H, W), WALL))
     observed = np.zeros((H, W), bool)
     for context in field.cameras.values():
         pixels, _ = context.project(points)
         u, v = np.floor(pixels).astype(int).transpose(2, 0, 1)
         within = (u >= 0) & (u < W) & (v >= 0) & (v < H)
-        labels, _ = looked(context)
+        labels, _ = label_view(context)
         observed |= within & (labels[v.clip(0, H - 1), u.clip(0, W - 1)] != YELLOW)
     view = edited.render(cam)
     visible, hidden = erode(observed), erode(~observed)
-    assert hidden.any() and (visible & (looked(cam)[0] == YELLOW)).any()
+    assert hidden.any() and (visible & (label_view(cam)[0] == YELLOW)).any()
     assert view.unknown[hidden].all() and not view.unknown[visible].any()
     for id_ in (RED, GREEN, BLUE):
         assert (view.ids[erode(observed & (behind == id_))] == id_).all()
     assert not view.ids[hidden].any()
     shades = view.rgb[hidden]
     assert (shades == shades[:, :1]).all() and len(np.unique(shades)) == 2  # stripes of two greys
-    assert not field.render(cam).unknown[looked(cam)[0] == YELLOW].any()
+    assert not field.render(cam).unknown[label_view(cam)[0] == YELLOW].any()
 
 
 def test_second_removal_renders_no_view(field, monkeypatch):
     both, first = field.without([YELLOW, GREEN]).hidden, field.without([YELLOW])
     assert first.hidden.any() and not np.array_equal(first.hidden, both)
     monkeypatch.setattr(SemanticField, "render", None)
-    np.testing.assert_array_equal(first.named(RED, "Sun").without([GREEN]).hidden, both)
+    np.testing.assert_array_equal(first.rename(RED, "Sun").without([GREEN]).hidden, both)
 
 
 def test_removed_objects_are_no_answers(field):
@@ -104,8 +104,8 @@ def test_removed_objects_are_no_answers(field):
 
 
 def test_name_selects_exactly_the_objects_that_have_it(field, tmp_path):
-    named = field.named(GREEN, "Die  Wiese").named(BLUE, "red").named(RED, "sides")
-    named = named.named(YELLOW, "sides").teach("die wiese", YELLOW)
+    named = field.rename(GREEN, "Die  Wiese").rename(BLUE, "red").rename(RED, "sides")
+    named = named.rename(YELLOW, "sides").teach("die wiese", YELLOW)
     named.save(tmp_path / "field")
     for version in (named, SemanticField.load(tmp_path / "field")):
         view = version.render(version.cameras["a"])
@@ -124,7 +124,7 @@ def test_name_selects_exactly_the_objects_that_have_it(field, tmp_path):
     removed = named.without([GREEN])
     hit = removed.render(removed.cameras["a"]).query("die wiese")
     assert not hit.found and hit.verdict == "not here" and removed.find("die wiese") == ()
-    assert named.named(GREEN, "").render(named.cameras["a"]).query("die wiese").kind == "taught"
+    assert named.rename(GREEN, "").render(named.cameras["a"]).query("die wiese").kind == "taught"
 
 
 def test_only_keeps_the_chosen_objects(field):
@@ -170,7 +170,7 @@ def test_save_edits_writes_only_files_of_edits(field, tmp_path):
     field.save(folder, {"photographs.json": b"{}"})
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
     edited = field.teach("zorp", RED).teach("zorp", BLUE)
-    edited = edited.named(GREEN, "Die Wiese").without([YELLOW])
+    edited = edited.rename(GREEN, "Die Wiese").without([YELLOW])
     edited.save_edits(folder)
     restored = SemanticField.load(folder)
     assert restored.edits.names == {GREEN: "Die Wiese"} and restored.edits.removed == {YELLOW}
@@ -192,7 +192,7 @@ def test_edits_of_another_field_raise_errors(field, tmp_path):
         SemanticField.load(tmp_path / "field")
     bank = dataclasses.replace(field.bank, ids=field.bank.ids + 1)
     with pytest.raises(InputError, match="is the folder of another field"):
-        field.changed(bank=bank).save_edits(tmp_path / "field")
+        field.with_changes(bank=bank).save_edits(tmp_path / "field")
 
 
 @pytest.mark.parametrize(
@@ -202,7 +202,7 @@ def test_edits_of_another_field_raise_errors(field, tmp_path):
         lambda field: field.restore([RED, 5]),
         lambda field: field.only([RED, 5]),
         lambda field: field.teach("zorp", 5),
-        lambda field: field.named(5, "x"),
+        lambda field: field.rename(5, "x"),
     ],
     ids=["without", "restore", "only", "teach", "named"],
 )
@@ -220,7 +220,7 @@ def test_restore_raises_input_error_without_gaussians(field):
 
 
 def test_inventory_lists_words_names_views_and_boxes(field):
-    edited = field.teach("zorp", RED).named(BLUE, "Sea").without([GREEN])
+    edited = field.teach("zorp", RED).rename(BLUE, "Sea").without([GREEN])
     items = {item.id: item for item in edited.inventory()}
     assert list(items) == [RED, BLUE, YELLOW]
     assert items[RED].words[0][0] == "zorp" and items[BLUE].name == "Sea"

@@ -87,7 +87,7 @@ def test_a_field_looks_and_answers_the_same_wherever_its_cameras_stand(place: st
 
 def test_a_far_field_draws_what_the_float64_reference_draws_at_home() -> None:
     here, there = home().context[0].camera, far("utm").context[0].camera
-    small, small_far = here.resized(40, 30), there.resized(40, 30)
+    small, small_far = here.resize(40, 30), there.resize(40, 30)
     gaussians = load_predictor("planesweep")(home())
     true = rasterize(gaussians, None, small, backend="reference")
     far_gaussians = load_predictor("planesweep")(far("utm"))
@@ -136,7 +136,7 @@ def test_a_ply_of_far_doubles_keeps_its_precision(tmp_path) -> None:
 def test_clips_and_samples_keep_far_cameras(place: str, tmp_path) -> None:
     views = {view.name: view for view in far(place).context}
     cameras = {name: view.camera for name, view in views.items()}
-    re10k.write(tmp_path, [re10k.clip_of(Scene("far", cameras, views.__getitem__))])
+    re10k.write(tmp_path, [re10k.encode_clip(Scene("far", cameras, views.__getitem__))])
     read = list(re10k.read(tmp_path, "far").cameras.values())
     stored = sample_from_arrays(sample_to_arrays(far(place)))
     for camera, clip, view in zip(cameras.values(), read, stored.context, strict=True):

@@ -14,10 +14,10 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import save_ply
 from slgaussian.scene import Estimated
-from tests.square import BLUE, COLOURS, GREEN, RED, YELLOW, camera, looked, square_field
+from tests.square import BLUE, COLOURS, GREEN, RED, YELLOW, camera, label_view, square_field
 
 NEW = camera(0.05)
-true_ids, true_depth = looked(NEW)
+true_ids, true_depth = label_view(NEW)
 INTERIOR = ndimage.maximum_filter(true_ids, 7) == ndimage.minimum_filter(true_ids, 7)
 """Pixels where no border of two objects mixes their light."""
 

@@ -34,7 +34,7 @@ def test_gaussians_of_arrays_create_no_tensors():
     subset = stored[np.arange(len(stored)) < 3]
     assert all(isinstance(value, np.ndarray) for _, value in subset._present())
     shifted = stored.with_arrays(source=stored.to_arrays()["source"] + 1)
-    both = Gaussians.concatenated([subset, shifted])
+    both = Gaussians.concatenate([subset, shifted])
     assert both.source.tolist() == [0, 1, 2, *range(1, 8)]
     assert np.shares_memory(stored.means.numpy(), stored.to_arrays()["means"])
 

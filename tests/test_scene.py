@@ -57,7 +57,7 @@ def test_resizing_and_cropping_move_the_image_with_the_camera():
     cam = camera()
     point = np.array([0.4, -0.2, 3.0])
     before, _ = cam.project(point)
-    after, _ = cam.resized(64, 72).cropped(3, 5, 40, 50).project(point)
+    after, _ = cam.resize(64, 72).crop(3, 5, 40, 50).project(point)
     np.testing.assert_allclose(after, before * (2, 3) - (3, 5))
 
 
@@ -89,7 +89,7 @@ def test_resized_truths_are_those_of_pixels_and_no_mixtures(size):
     left = np.arange(32) < 13
     ids = np.where(left, 2, 90).astype(np.int32)[None].repeat(24, 0)
     depth = np.where(left, 1.0, 5.0).astype(np.float32)[None].repeat(24, 0)
-    resized = replace(full, instances=ids, depth=depth).resized(*size)
+    resized = replace(full, instances=ids, depth=depth).resize(*size)
     assert resized.instances.shape == resized.depth.shape == size
     assert set(np.unique(resized.instances)) == {2, 90}
     np.testing.assert_array_equal(resized.depth, np.where(resized.instances == 2, 1.0, 5.0))

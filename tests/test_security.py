@@ -25,7 +25,7 @@ from slgaussian.datasets import nerfstudio, re10k
 from slgaussian.datasets.photographs import open_photograph, stored_size
 from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SpecError
-from slgaussian.formats.images import opened, read_npy
+from slgaussian.formats.images import open_image, read_npy
 from slgaussian.formats.strict_json import parse
 from slgaussian.masks.precomputed import read_ids
 from slgaussian.predict.mvsplat.checkpoint import read_state
@@ -186,7 +186,7 @@ class TestLargeImages:
         )
         assert Image.open(tmp_path / "a.png").format == "EPS"
         refusal = pytest.raises(ValueError, match="not an image of a supported format")
-        with refusal, opened(tmp_path / "a.png"):
+        with refusal, open_image(tmp_path / "a.png"):
             pass
 
 

@@ -60,7 +60,7 @@ def measure_formats(
     file = folder / "scene.html"
     file.write_text(scene_page(field), "utf-8")
     size = file.stat().st_size
-    with_middle = field.changed(cameras={**field.cameras, "between": middle})
+    with_middle = field.with_changes(cameras={**field.cameras, "between": middle})
     file.write_text(scene_page(with_middle), "utf-8")
     with browser.open(file.as_uri(), 400, 300) as tab:
         tab.wait("globalThis.slgaussian !== undefined", 600)

@@ -92,14 +92,14 @@ def fill(room: ArtifactStore, config: Any) -> None:
     """Fill the store of a run with the results of its scenes, without waiting for the disk."""
     from prefect.utilities.annotations import quote
 
-    from flows.benchmark import scenes_of
+    from flows.benchmark import find_scenes
     from flows.runners.batches import compute_scene
     from flows.scene import STAGES, scene_task
 
     def without_prefect(compute: Callable[..., Any]) -> Callable[..., Any]:
         return lambda *args: compute(*(a.unwrap() if isinstance(a, quote) else a for a in args))
 
-    tasks = [scene_task(config, scene) for scene in scenes_of(config)[0]]
+    tasks = [scene_task(config, scene) for scene in find_scenes(config)[0]]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda file: None)
         for stage in STAGES:

@@ -112,7 +112,7 @@ def scene_row(subject: Subject) -> dict:
     camera = subject.camera
     for x, y in WINDOWS:
         corner = round(x * camera.width), round(y * camera.height)
-        window = replace(subject, camera=camera.cropped(*corner, WINDOW, WINDOW))
+        window = replace(subject, camera=camera.crop(*corner, WINDOW, WINDOW))
         true = window.draw(backend="reference")
         for name, settings in (("window", DEFAULT), ("floor", replace(DEFAULT, **FINE))):
             off = float((window.draw(settings) - true).abs().max())

@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 from benches.common.harness import Format, parser, publish, table
-from slgaussian.benchmark.costs import costs_of
+from slgaussian.benchmark.costs import measure_costs
 from slgaussian.benchmark.scores import Rows
 
 SETS = {"office": "office", "procedural": "rooms"}
@@ -40,7 +40,7 @@ def read_seconds(out: Path) -> dict[str, dict]:
             "first_query": cost.view_query or 0.0,
             "further_query": cost.further_query or 0.0,
         }
-        for cost in costs_of(Rows.from_rows(({**row, "dataset": ""} for row in rows), "times"))
+        for cost in measure_costs(Rows.from_rows(({**row, "dataset": ""} for row in rows), "times"))
     }
 
 

@@ -97,7 +97,7 @@ def build_fields(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     for seed in seeds:
         codes = draw(labels, rng_for(seed, sample.content, "codes"))
         features = torch.from_numpy(code_images(object_ids, bank.ids, codes))
-        coded = field.changed(
+        coded = field.with_changes(
             gaussians=replace(field.gaussians, features=features),
             bank=replace(bank, codes=codes),
         )

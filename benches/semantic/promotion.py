@@ -68,7 +68,7 @@ def write_rooms(folder: Path, first: int, last: int) -> None:
     if not (folder / "index.json").exists():
         size = {"objects": 6, "views": 5, "baseline": 0.8, "height": 144, "width": 192}
         rooms = (datasets.load("procedural", seed=s, **size) for s in range(first, last + 1))
-        re10k.write(folder, [re10k.clip_of(room) for room in rooms])
+        re10k.write(folder, [re10k.encode_clip(room) for room in rooms])
 
 
 def call(folder: Path, *words: str) -> None:

@@ -30,7 +30,7 @@ from benches.common.photograph_pairs import data_folder
 from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.metrics import depth_errors, psnr, ssim
-from slgaussian.datasets.context_views import context_of
+from slgaussian.datasets.context_views import choose_context
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
@@ -116,7 +116,7 @@ def place(folder: Path) -> Iterator[Row]:
         contexts = {}
         for number in NUMBERS:
             try:
-                contexts[number] = context_of(scene, pair.context, pair.target, number)
+                contexts[number] = choose_context(scene, pair.context, pair.target, number)
             except InputError:  # too few photographs
                 break
         if len(contexts) > 1:

@@ -26,7 +26,7 @@ NO_TEXT_FITS = "no text fits"
 """Name of the label of pixels that fit canonical phrases better than any text."""
 
 
-@options.configured("preset", "threshold")
+@options.add_options("preset", "threshold")
 def query(
     ctx: typer.Context,
     field: options.Folder,
@@ -163,15 +163,15 @@ def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
 
 def _read_crop(file: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Read an upright photograph, uint8 [H, W, 3], and its opaque pixels, bool [H, W], or None."""
-    from slgaussian.datasets.exif import orientation_of, upright
-    from slgaussian.datasets.photographs import MIN_OPAQUE_ALPHA, alpha_of, read_colours
+    from slgaussian.datasets.exif import read_orientation, upright
+    from slgaussian.datasets.photographs import MIN_OPAQUE_ALPHA, read_alpha_channel, read_colours
     from slgaussian.formats import images
 
     try:
-        with images.opened(file) as image:
+        with images.open_image(file) as image:
             image.load()
-            turned = upright(image, orientation_of(image))
-            pixels, alpha = read_colours(turned, str(file)), alpha_of(turned)
+            turned = upright(image, read_orientation(image))
+            pixels, alpha = read_colours(turned, str(file)), read_alpha_channel(turned)
     except (OSError, ValueError) as error:
         raise images.unreadable(file, error) from None
     opaque = None if alpha is None else alpha >= MIN_OPAQUE_ALPHA
@@ -189,14 +189,14 @@ def _hit_picture(name: str, view: FieldView, hit: QueryResult) -> np.ndarray:
         outlined = pictures.draw_outline(answer, hit.mask, pictures.PREDICTED_COLOUR)
         answer = pictures.draw_point(outlined, hit.point)
     elif hit.verdict == "not sure":
-        answer = pictures.draw_dashed(answer, hit.mask, pictures.PREDICTED_COLOUR)
+        answer = pictures.draw_dashed_outline(answer, hit.mask, pictures.PREDICTED_COLOUR)
     relevancy = pictures.paint_relevancy(hit.relevancy, view.rgb)
     first = f"rendering, {name}", view.rgb
     panels = [first, (f"relevancy of {hit.text!r}", relevancy), (hit.summary, answer)]
     return pictures.side_by_side(panels)
 
 
-@options.configured("threshold")
+@options.add_options("threshold")
 def segment(
     ctx: typer.Context,
     field: options.Folder,

@@ -25,7 +25,7 @@ PREVIEW_FILE = "look.jpg"
 """Picture of the masks for viewing; a JPEG, as view names end in .png."""
 
 
-@options.configured("preset", "encoder", "seed", *options.ENGINE)
+@options.add_options("preset", "encoder", "seed", *options.ENGINE)
 def demo(
     ctx: typer.Context,
     out: options.Out = Path("slg-demo"),
@@ -48,7 +48,7 @@ def demo(
     run_scenes("demo", make_settings(values, "demo"), verbose)
 
 
-@options.configured("preset", "size", *options.COMPONENTS, "encoder")
+@options.add_options("preset", "size", *options.COMPONENTS, "encoder")
 def field(
     ctx: typer.Context,
     photos: options.Photos,
@@ -156,7 +156,7 @@ def cameras(
             f"{out}: exists and was not written by `slgaussian cameras`; choose another file, or "
             "remove it"
         )
-    files = unposed.named(photos)
+    files = unposed.name_files(photos)
     estimate = unposed.find(files)
     if out is not None:
         nerfstudio.write(out, files, estimate)
@@ -182,7 +182,7 @@ def _pairs_text(estimate: EstimatedCameras) -> str:
     return table_text(rows, "<>>>><")
 
 
-@options.configured("preset", "size", *options.COMPONENTS)
+@options.add_options("preset", "size", *options.COMPONENTS)
 def masks(
     ctx: typer.Context,
     photos: options.Photos,

@@ -21,7 +21,7 @@ Sources = Annotated[
 ]
 
 
-@options.configured("most", *options.ENGINE, model=CorpusSettings)
+@options.add_options("most", *options.ENGINE, model=CorpusSettings)
 def ingest(
     ctx: typer.Context, sources: Sources, out: options.Out, verbose: options.Verbose = False
 ) -> None:
@@ -41,7 +41,7 @@ def ingest(
     _prepare("ingest", ctx, verbose)
 
 
-@options.configured("size", *options.COMPONENTS, "most", *options.ENGINE, model=CorpusSettings)
+@options.add_options("size", *options.COMPONENTS, "most", *options.ENGINE, model=CorpusSettings)
 def supervise(
     ctx: typer.Context, sources: Sources, out: options.Out, verbose: options.Verbose = False
 ) -> None:
@@ -69,7 +69,7 @@ def _prepare(command: str, ctx: typer.Context, verbose: bool) -> None:
     report_left_out(settings.out, prepared.failures)
 
 
-@options.configured("size", "targets", "held_out", *options.ENGINE, model=DatasetSettings)
+@options.add_options("size", "targets", "held_out", *options.ENGINE, model=DatasetSettings)
 def dataset(
     ctx: typer.Context,
     out: Annotated[Path, typer.Argument(help="Folder of the training set.")],

@@ -29,7 +29,7 @@ MIN_FREE_BYTES = 2**30
 """Bytes that should be free on the disk of the store; a scene takes some 30 MB."""
 
 
-@options.configured("store", "runner", *options.COMPONENTS, "encoder")
+@options.add_options("store", "runner", *options.COMPONENTS, "encoder")
 def doctor(
     ctx: typer.Context,
     components: Annotated[bool, typer.Option("--components", help="List all components.")] = False,
@@ -130,16 +130,15 @@ def _check_server() -> str:
     import urllib.request
 
     from flows.runners.environment import orchestration
-    from slgaussian.storage.remote import redacted
     from slgaussian.storage.store import ArtifactStore
 
     if url := os.environ.get("PREFECT_API_URL"):
         try:
             with urllib.request.urlopen(f"{url}/admin/version", timeout=10) as answer:
-                return f"Prefect's server {json.load(answer)} answers at {redacted(url)}"
+                return f"Prefect's server {json.load(answer)} answers at {redact(url)}"
         except (OSError, ValueError) as error:
             raise InputError(
-                f"PREFECT_API_URL {redacted(url)}: no Prefect server answers there ({error}); "
+                f"PREFECT_API_URL {redact(url)}: no Prefect server answers there ({error}); "
                 "start it with `prefect server start`, correct the variable, or unset it"
             ) from error
     with tempfile.TemporaryDirectory() as folder, orchestration(ArtifactStore(folder)) as wait:

@@ -42,7 +42,7 @@ objects = typer.Typer(
 
 
 @objects.command("list")
-@options.configured()
+@options.add_options()
 def list_(
     ctx: typer.Context,
     field: options.Folder,
@@ -161,14 +161,14 @@ def name(
     """
     from slgaussian.field import SemanticField
 
-    edited = SemanticField.load(field).named(id_, name or "")
+    edited = SemanticField.load(field).rename(id_, name or "")
     edited.save_edits(field)
     name = edited.edits.names.get(id_)
     typer.echo(f"object {id_} has no name" if name is None else f"object {id_} is {name!r}")
 
 
 @objects.command()
-@options.configured()
+@options.add_options()
 def remove(
     ctx: typer.Context,
     field: options.Folder,
@@ -210,7 +210,7 @@ def remove(
 
 
 @objects.command()
-@options.configured()
+@options.add_options()
 def extract(
     ctx: typer.Context,
     field: options.Folder,

@@ -14,7 +14,7 @@ import typer
 
 from flows.cli.options import settings_from
 from flows.config import RULES, Method, Settings
-from flows.read_config import checked
+from flows.read_config import validate_settings
 from slgaussian import precompile
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
@@ -42,7 +42,7 @@ def open_field(
             encoder's files cannot be read.
     """
     values = settings_from(ctx, Method, preset=ctx.params.get("preset"))
-    fields = checked(Settings, values, "query").model_dump(exclude_unset=True)
+    fields = validate_settings(Settings, values, "query").model_dump(exclude_unset=True)
     chosen = {name: value for name, value in fields.items() if name in RULES}
     field = SemanticField.load(folder)
     precompile.announce()

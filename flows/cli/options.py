@@ -23,7 +23,7 @@ LABELLED_SET = ("data", "pairs", "labels", "format", "rooms")
 """Fields that are options of several commands."""
 
 
-def configured(
+def add_options(
     *names: str, model: type[BaseModel] = Settings
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Add options for fields of a configuration to a command, and ``--set`` for its other fields.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from flows.config import SceneSettings, Settings
-from flows.scenes import folder_of
+from flows.scenes import find_data_folder
 from slgaussian.checks import natural_key, order_naturally
 from slgaussian.datasets import colmap, unposed
 from slgaussian.datasets.photographs import find_file, skip_unreadable
@@ -52,14 +52,14 @@ def load_photographs(
     if cameras is None and settings.predictor == "precomputed":
         cameras = _find_cameras(dict(settings.configure("predictor"))["geometry"])
     if cameras is None:
-        files = unposed.named(photos)
+        files = unposed.name_files(photos)
         if keyframes is not None:
             looks = [glance(path.read_bytes())[0] for path in files.values()]
             files = {name: files[name] for name in _keyframes(list(files), looks, keyframes)}
         estimate = unposed.find(files)
         print_warnings(estimate.warnings, verbose)
         print(estimate.summary(), file=sys.stderr)
-        scene = unposed.posed(files, estimate)
+        scene = unposed.read_with_cameras(files, estimate)
         names = list(scene.cameras)
     else:
         scene, folder = posed_scene(cameras, photos)
@@ -161,8 +161,8 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
         InputError: If there are fewer than three photographs, or one is missing or has no camera.
     """
     if cameras is None:
-        files = unposed.named(photos)
-        names, place = list(files), unposed.folder_of(files)
+        files = unposed.name_files(photos)
+        names, place = list(files), unposed.find_folder(files)
         format, options = "photographs", dict[str, Any](only=list(files))
     else:
         format, place = recognise(cameras)
@@ -172,7 +172,9 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
         names = [name for name, _ in find_views(scene, photos, folder)]
         options = {}
         if format != "nerfstudio":  # relative, so that the scene can be moved
-            scene_folder = colmap.scene_folder(place) if format == "colmap" else folder_of(place)
+            scene_folder = (
+                colmap.scene_folder(place) if format == "colmap" else find_data_folder(place)
+            )
             options["images"] = os.path.relpath(folder.resolve(), scene_folder.resolve())
     if len(names) < 3:
         raise InputError(
@@ -182,7 +184,7 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
     target = names.pop(len(names) // 2)
     print(f"{target} is held out, to measure the error of a new view", file=sys.stderr)
     return SceneSettings(
-        name=folder_of(place).name or "photographs",
+        name=find_data_folder(place).name or "photographs",
         dataset="photographs",
         format=format,
         options=options,

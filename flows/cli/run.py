@@ -11,11 +11,11 @@ import typer
 
 from flows.cli import options
 from flows.config import IndexSettings, Settings
-from flows.read_config import checked, make_settings, read_values, refuse_idle
+from flows.read_config import make_settings, read_values, refuse_idle, validate_settings
 from slgaussian.errors import InputError
 
 
-@options.configured("preset", "seed", *options.ENGINE, "only_missing")
+@options.add_options("preset", "seed", *options.ENGINE, "only_missing")
 def run(
     ctx: typer.Context,
     config: Annotated[Path, typer.Argument(help="TOML file with any of the settings.")],
@@ -46,21 +46,21 @@ def run(
 
     overrides = options.settings_from(ctx)
     values = read_values(config, overrides)
-    record = checked(Recorded, {"inputs": values.pop("inputs", None)}, str(config))
-    settings = checked(Settings, values, str(config))
+    record = validate_settings(Recorded, {"inputs": values.pop("inputs", None)}, str(config))
+    settings = validate_settings(Settings, values, str(config))
     refuse_idle(overrides, settings, "run")
     if record.inputs is not None:
         prepare_prefect(settings.store)
-        from flows.benchmark import scenes_of
+        from flows.benchmark import find_scenes
         from flows.results import check_inputs
 
-        scenes, _ = scenes_of(settings)
+        scenes, _ = find_scenes(settings)
         for line in check_inputs(settings, scenes, record.inputs, str(config)):
             typer.echo(line, err=True)
     run_scenes("run", settings, verbose)
 
 
-@options.configured(
+@options.add_options(
     *options.LABELLED_SET, "preset", "size", "seed", *options.ENGINE, "sweep", "against"
 )
 def benchmark(
@@ -91,7 +91,7 @@ def benchmark(
         values["format"] = rule["format"]
     settings = make_settings(values, "benchmark")
     if settings.data is not None and settings.pairs is None:
-        chosen = checked(IndexSettings, rule, "benchmark")
+        chosen = validate_settings(IndexSettings, rule, "benchmark")
         prepare_prefect(settings.store)
         from flows.indexing import build_index
         from flows.runners.session import check_folder
@@ -176,9 +176,9 @@ def report_left_out(out: Path, failures: Sequence[Any]) -> None:
 
 def prepare_prefect(store: str) -> None:
     """Set the environment of Prefect for a store, before anything imports Prefect."""
-    from flows.runners.environment import home_of, prepare
+    from flows.runners.environment import find_prefect_home, prepare
     from slgaussian.storage.store import ArtifactStore
 
     opened = ArtifactStore(store)
     opened.check_writable()  # it has the home of Prefect
-    prepare(home_of(opened))
+    prepare(find_prefect_home(opened))

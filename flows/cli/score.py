@@ -16,7 +16,7 @@ MAX_NAMED = 3
 """Largest number of names of missing or unused masks in a message."""
 
 
-@options.configured(*options.LABELLED_SET, "size")
+@options.add_options(*options.LABELLED_SET, "size")
 def score(
     ctx: typer.Context,
     predictions: Annotated[Path, typer.Argument(help="Masks: folder, Parquet or JSON file.")],

@@ -150,9 +150,9 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
     import numpy as np
 
     from slgaussian.labels import MIN_WEIGHT
-    from slgaussian.rasterize.picture import picture, seen_colors
+    from slgaussian.rasterize.picture import compute_view_colours, picture
 
-    rendered = picture(gaussians, seen_colors(gaussians, camera), camera)
+    rendered = picture(gaussians, compute_view_colours(gaussians, camera), camera)
     visible = rendered.alpha >= MIN_WEIGHT
     if not visible.any():
         median = gaussians.means.median(0).values.numpy() + gaussians.origin
@@ -168,7 +168,7 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
     return Shot(rgb, np.where(visible, rendered.depth, 0), None)
 
 
-@options.configured()
+@options.add_options()
 def view(
     ctx: typer.Context,
     folder: options.Folder,
@@ -211,7 +211,7 @@ def view(
         typer.echo("\nstopped; changes were not saved" if lost else "\nstopped", err=True)
 
 
-@options.configured()
+@options.add_options()
 def export(
     ctx: typer.Context,
     folder: options.Folder,

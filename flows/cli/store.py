@@ -126,7 +126,7 @@ def gc(
 
 
 @store_app.command()
-@options.configured("store")
+@options.add_options("store")
 def status(
     ctx: typer.Context,
     config: Annotated[Path, typer.Argument(help="TOML file of `run`, or of a corpus.")],

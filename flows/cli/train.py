@@ -10,11 +10,11 @@ import typer
 from flows.cli import options
 from flows.cli.run import run_flow
 from flows.config import RetrainSettings, TrainSettings
-from flows.read_config import checked, read_toml
+from flows.read_config import read_toml, validate_settings
 from slgaussian.errors import InputError
 
 
-@options.configured("preset", "steps", "seed", "store", model=TrainSettings)
+@options.add_options("preset", "steps", "seed", "store", model=TrainSettings)
 def train(
     ctx: typer.Context,
     lessons: Annotated[Path, options.field_option("lessons", TrainSettings)],
@@ -37,7 +37,7 @@ def train(
     slgaussian field a.png b.png --set lifting=branch \\
         --set branch.weights=trained/branch.safetensors -o field/
     """
-    settings = checked(TrainSettings, options.settings_from(ctx, TrainSettings), "train")
+    settings = validate_settings(TrainSettings, options.settings_from(ctx, TrainSettings), "train")
     trained = run_flow("train", settings, verbose)
     judgements = trained.judgements
     import numpy as np
@@ -57,7 +57,7 @@ def train(
     typer.echo(f"report   {out / FILES['report']}")
 
 
-@options.configured("sources", "models", "steps", "store", model=RetrainSettings)
+@options.add_options("sources", "models", "steps", "store", model=RetrainSettings)
 def retrain(
     ctx: typer.Context,
     config: Annotated[Path | None, typer.Argument(help="TOML file with any settings.")] = None,

@@ -21,7 +21,7 @@ from flows.runners import logger
 from flows.runners.server import LocalServer
 from slgaussian.errors import SLGaussianError
 from slgaussian.storage.local_copies import user_cache
-from slgaussian.storage.remote import redacted
+from slgaussian.storage.remote import redact
 from slgaussian.storage.store import ArtifactStore
 
 if TYPE_CHECKING:  # Prefect must be imported after its environment is set
@@ -63,7 +63,7 @@ def prepare(home: Path) -> None:
         os.environ.setdefault(name, value)
 
 
-def home_of(store: ArtifactStore) -> Path:
+def find_prefect_home(store: ArtifactStore) -> Path:
     """Return the folder of Prefect's database: in a local store, else in the user's cache."""
     if store.local:
         return Path(store.path) / ".prefect"
@@ -77,7 +77,7 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
     Our server starts while the block imports its modules. The yielded function waits until the
     server answers, and raises SLGaussianError if it does not.
     """
-    prepare(home_of(store))
+    prepare(find_prefect_home(store))
     if os.environ.get("PREFECT_API_URL"):
         yield lambda: None
         return
@@ -146,7 +146,7 @@ def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
         state: Any = flow(*arguments, return_state=True)
         return RESULTS[0] if RESULTS else state.result()
     except HTTPError as error:
-        url, home = redacted(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
+        url, home = redact(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
         failed = f"the Prefect server at {url} failed ({error})"
         if RESULTS:
             message = f"{failed} after the work; it may show this run as running forever"

@@ -97,7 +97,9 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
     boxes: dict[str, dict[str, np.ndarray]] = {}
     for view in targets:
         size = view.camera.width, view.camera.height
-        drawn, corners = _read_frame(Path(folder), view.name, view.namesakes, *size, view.shown)
+        drawn, corners = _read_frame(
+            Path(folder), view.name, view.namesakes, *size, view.visible_window
+        )
         nothing = np.zeros(view.image.shape[:2], bool)
         if view.opaque is not None:
             drawn = {name: mask & view.opaque for name, mask in drawn.items()}

@@ -43,7 +43,7 @@ class Cost:
         return self.build + (self.prepare or 0.0) + self.view_query
 
 
-def costs_of(rows: Rows) -> list[Cost]:
+def measure_costs(rows: Rows) -> list[Cost]:
     """Return one cost per data set and method from rows of the spec ``times``, in their order."""
     costs = []
     for dataset in rows.values("dataset"):

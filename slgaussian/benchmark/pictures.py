@@ -205,7 +205,9 @@ def draw_outline(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int
     return out
 
 
-def draw_dashed(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
+def draw_dashed_outline(
+    image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]
+) -> np.ndarray:
     """Return a copy with a dashed outline of an uncertain ``mask`` in ``color`` and black."""
     out = image.copy()
     dash = max(4, round(image.shape[1] / 80))

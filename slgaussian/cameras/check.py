@@ -166,7 +166,7 @@ def explain(
         return np.zeros(len(at_a), bool)
     near = np.abs(relative.epipolar_distance(at_a, at_b)) < distance
     in_front_of_a = relative.triangulate(at_a, at_b) > 0
-    return near & in_front_of_a & (relative.reversed().triangulate(at_b, at_a) > 0)
+    return near & in_front_of_a & (relative.reverse().triangulate(at_b, at_a) > 0)
 
 
 def agree(at_a: np.ndarray, at_b: np.ndarray, distance: float) -> np.ndarray:

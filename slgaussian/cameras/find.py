@@ -19,7 +19,7 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.matches import match
 from slgaussian.cameras.two_view import EXIF_FOCAL_STD, Described, PairPose, Photograph, confidence
 from slgaussian.copies import Thumbnail, are_copies
-from slgaussian.errors import InputError, listed
+from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
 
 Z_90 = 1.645
@@ -73,7 +73,7 @@ class Unplaced(InputError):
     def __init__(self, left_out: Mapping[str, str]) -> None:
         self.left_out = left_out
         super().__init__(
-            f"{listed([left_out])} cannot be placed among the other photographs: "
+            f"{join_names([left_out])} cannot be placed among the other photographs: "
             f"{next(iter(left_out.values()))}; leave out what shows another place, or take "
             "photographs between that overlap both by half or more"
         )

@@ -61,7 +61,7 @@ class MatchGraph:
         """
         keypoints, inside = [], []
         for view, points in zip(views, self.keypoints, strict=True):
-            part, size = view.shown, np.array([view.camera.width, view.camera.height])
+            part, size = view.visible_window, np.array([view.camera.width, view.camera.height])
             corner, end = np.array([[part.left, part.top], [part.right, part.bottom]])
             keypoints.append((points - corner) * (size / (end - corner)))
             inside.append(((keypoints[-1] >= 0) & (keypoints[-1] < size)).all(1))

@@ -42,7 +42,7 @@ class Relative:
         t = transform(reference.center - source.center, turn)
         return Relative(reference.K, source.K, product(turn, reference.c2w[:3, :3]), t)
 
-    def reversed(self) -> Relative:
+    def reverse(self) -> Relative:
         """Return the geometry with reference and source exchanged."""
         return Relative(self.K_src, self.K_ref, self.R.T, -transform(self.t, self.R.T))
 

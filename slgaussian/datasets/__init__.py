@@ -79,7 +79,7 @@ def inputs(
     if list_files := _find_listing(format, "files"):
         return _call(format, list_files, path, **settings), {}
     scene = load(format, path, **settings)
-    names = [scene.find(name) for name in scene.placed(views)]
+    names = [scene.find(name) for name in scene.with_cameras(views)]
     files = [file for name in names for file in scene.sources(name)]
     shared = [other for name in names for other in namesakes(name, scene.cameras)]
     return list(dict.fromkeys(files)), {name: scene.cameras[name] for name in (*names, *shared)}

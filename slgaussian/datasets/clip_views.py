@@ -38,7 +38,7 @@ class Framing:
 
     def read(self, clip: re10k.Clip, frames: Sequence[int]) -> tuple[View, ...]:
         """Decode and resize frames of a clip; InputError if one cannot be decoded."""
-        views = [clip.view(frame).resized(*self.size) for frame in frames]
+        views = [clip.view(frame).resize(*self.size) for frame in frames]
         return tuple(replace(v, camera=v.camera.with_range(self.near, self.far)) for v in views)
 
     def read_sample(self, clip: re10k.Clip, row: Mapping[str, Any], targets: bool) -> Sample:
@@ -62,7 +62,7 @@ def describe_views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[InputEr
     for frame, (data, numbers) in enumerate(zip(clip.images, clip.cameras, strict=True)):
         try:
             grey, (width, height) = glance(data)
-            camera, opaque = re10k.camera_of(numbers, width, height), clip.opaque(frame)
+            camera, opaque = re10k.camera_from_row(numbers, width, height), clip.opaque(frame)
             shown = grey
             if opaque is not None:
                 shown = grey[Window.whole(width, height).mask(opaque, *grey.shape)]
@@ -73,7 +73,7 @@ def describe_views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[InputEr
             continue
         mean, clipped = exposure(shown)
         greys.append(grey)
-        cameras.append(camera.resized(*grey.shape[::-1]))
+        cameras.append(camera.resize(*grey.shape[::-1]))
         rows.append(
             {
                 "clip": clip.key,
@@ -105,7 +105,7 @@ def known_views(views: Sequence[Mapping[str, Any]]) -> Views:
         [[view[name] for name in CAMERA_COLUMNS] for view in views], (4, 4), 0, axis=1
     )
     cameras = [
-        re10k.camera_of(row, view["width"], view["height"])
+        re10k.camera_from_row(row, view["width"], view["height"])
         for row, view in zip(numbers, views, strict=True)
     ]
     return Views(cameras, column("depth"), column("blur"), column("mean"), column("clipped"))

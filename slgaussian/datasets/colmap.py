@@ -26,8 +26,8 @@ from slgaussian.datasets.photographs import (
     has_shape,
     image_folder,
     is_there,
+    make_scene,
     name_in,
-    scene_of,
     stored_size,
 )
 from slgaussian.errors import InputError
@@ -116,7 +116,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
     name = path.resolve().name or "scene"
-    return scene_of(name, cameras, files, source, model_files(source), maps)
+    return make_scene(name, cameras, files, source, model_files(source), maps)
 
 
 def models_in(path: Path) -> list[Path]:

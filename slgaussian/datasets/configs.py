@@ -75,6 +75,6 @@ class Rule(PairBounds):
         "cameras, as a fraction of their distance.",
     )
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return name, version and settings of the rule, for an index file."""
         return {"name": NAME, "version": VERSION, **dict(self)}

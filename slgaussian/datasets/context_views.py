@@ -28,7 +28,7 @@ MAX_AXIS_ANGLE = 45.0
 """Largest angle, degrees, between the optical axis of an added view and the nearer of the two."""
 
 
-def context_of(
+def choose_context(
     scene: Scene, context: Sequence[str], targets: Sequence[str], count: int
 ) -> tuple[str, ...]:
     """Choose ``count`` context views for the targets, starting from those of an index.

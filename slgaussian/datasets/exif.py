@@ -21,7 +21,7 @@ TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), 
 """Operation that turns a stored photograph upright, by EXIF orientation."""
 
 
-def orientation_of(image: Image.Image) -> int:
+def read_orientation(image: Image.Image) -> int:
     """Return the EXIF orientation of an opened image, 1 to 8; 1 if it is missing or invalid.
 
     Pillow itself rotates a TIFF when it loads the pixels; afterwards the orientation is 1.

@@ -16,8 +16,8 @@ import numpy as np
 from slgaussian.datasets.photographs import (
     has_shape,
     image_folder,
+    make_scene,
     photographs_in,
-    scene_of,
     stored_size,
 )
 from slgaussian.errors import InputError
@@ -74,7 +74,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
             cameras[photograph.name] = _camera(row, photograph)
         except InputError as bad:
             raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
-    return scene_of(file.resolve().parent.name or "scene", cameras, files, file, [file])
+    return make_scene(file.resolve().parent.name or "scene", cameras, files, file, [file])
 
 
 def _camera(row: np.ndarray, photograph: Path) -> Camera:

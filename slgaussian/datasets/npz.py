@@ -22,8 +22,8 @@ from slgaussian.cameras.check import COARSE_DISTANCE, agree
 from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.cameras.two_view import Photograph
 from slgaussian.checks import check_intrinsics
-from slgaussian.datasets.photographs import scene_of
-from slgaussian.datasets.unposed import folder_of, named, photograph
+from slgaussian.datasets.photographs import make_scene
+from slgaussian.datasets.unposed import find_folder, name_files, photograph
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import GeometryFile, read_geometry
 from slgaussian.io import file_digest
@@ -62,11 +62,11 @@ def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Sc
     path = Path(path)
     if photographs is None or isinstance(photographs, str):
         photographs = [str(path.parent / (photographs or "."))]
-    files = named(photographs)
+    files = name_files(photographs)
     stamped = tuple((name, file, file_digest(file)) for name, file in files.items())
     cameras = _cameras(path, file_digest(path), stamped)
     posed_files = {name: files[name] for name in cameras}
-    return scene_of(folder_of(files).name, cameras, posed_files, path, [path], upright=True)
+    return make_scene(find_folder(files).name, cameras, posed_files, path, [path], upright=True)
 
 
 @lru_cache(maxsize=8)
@@ -100,7 +100,7 @@ def _cameras(
         except InputError as error:  # implausible intrinsics for this size
             problem = problem or error
             continue
-        small = [camera.resized(*size) for camera, size in zip(cameras, sizes, strict=True)]
+        small = [camera.resize(*size) for camera, size in zip(cameras, sizes, strict=True)]
         depths = []
         for entry, camera in zip(first, small, strict=True):
             shrunk = np.diag(

@@ -15,12 +15,12 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.checks import SUFFIX, companion, name_parts
-from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of
+from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, read_orientation
 from slgaussian.datasets.exif import upright as turned_upright
 from slgaussian.datasets.lens import Maps, undistort
 from slgaussian.errors import InputError
 from slgaussian.formats.colour import read_colours
-from slgaussian.formats.images import mask_levels, opened, scale_levels, unreadable
+from slgaussian.formats.images import mask_levels, open_image, scale_levels, unreadable
 from slgaussian.formats.resampling import Window
 from slgaussian.io import file_stamp
 from slgaussian.scene import PAPER_PIXELS, Camera, Scene, View
@@ -57,11 +57,11 @@ def rgb(image: Image.Image, name: str | Path) -> np.ndarray:
 
     See :func:`slgaussian.formats.colour.read_colours`; ``name`` is that of the photograph.
     """
-    pixels, alpha = read_colours(image, str(name)), alpha_of(image)
+    pixels, alpha = read_colours(image, str(name)), read_alpha_channel(image)
     return pixels if alpha is None else composite(pixels, alpha)
 
 
-def alpha_of(image: Image.Image) -> np.ndarray | None:
+def read_alpha_channel(image: Image.Image) -> np.ndarray | None:
     """Return the alpha of an opened image, uint8 [H, W]; None without one.
 
     Its range is that of a mask, see :func:`slgaussian.formats.images.scale_levels`.
@@ -92,11 +92,11 @@ def open_photograph(
         InputError: If the file is missing or damaged.
     """
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             turn = upright or _needs_turn(image, size)
             image.load()
-            oriented = turned_upright(image, orientation_of(image)) if turn else image
-            pixels, alpha = read_colours(oriented, str(path)), alpha_of(oriented)
+            oriented = turned_upright(image, read_orientation(image)) if turn else image
+            pixels, alpha = read_colours(oriented, str(path)), read_alpha_channel(oriented)
             if alpha is None:
                 return pixels, None
             pixels, opaque = composite(pixels, alpha), alpha >= MIN_OPAQUE_ALPHA
@@ -108,7 +108,7 @@ def open_photograph(
 def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Return width and height of an :func:`open_photograph`; None if it cannot be opened."""
     try:
-        with opened(path) as image:
+        with open_image(path) as image:
             return image.size[::-1] if _needs_turn(image, size) else image.size
     except (OSError, ValueError):
         return None
@@ -116,7 +116,7 @@ def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, i
 
 def _needs_turn(image: Image.Image, size: tuple[int, int] | None) -> bool:
     """Tell whether a camera of that size fits only the photograph rotated by its EXIF tag."""
-    if size is None or orientation_of(image) not in SIDEWAYS_ORIENTATIONS:
+    if size is None or read_orientation(image) not in SIDEWAYS_ORIENTATIONS:
         return False
     return not has_shape(image.size, size) and has_shape(image.size[::-1], size)
 
@@ -225,7 +225,7 @@ def skip_unreadable(files: Sequence[Path]) -> list[Path]:
 def _count_pixels(file: Path, stamp: object) -> int:
     """Decode a photograph, once for each ``stamp``, and return its number of pixels."""
     try:
-        with opened(file) as image:
+        with open_image(file) as image:
             count = image.width * image.height
             image.draft("RGB", (1, 1))  # decodes a JPEG all the same, in a third of the time
             rgb(image, file)
@@ -234,7 +234,7 @@ def _count_pixels(file: Path, stamp: object) -> int:
     return count
 
 
-def photographs_of(scene: Path) -> list[Path]:
+def list_photographs(scene: Path) -> list[Path]:
     """List the photographs in a folder or, if it has none, in its :func:`image_folder`, by name."""
     return photographs_in(scene) or photographs_in(image_folder(scene))
 
@@ -347,7 +347,7 @@ def find_masks(photographs: Mapping[str, Path]) -> dict[str, Mask]:
     return masks
 
 
-def scene_of(
+def make_scene(
     name: str,
     cameras: Mapping[str, Camera],
     photographs: Mapping[str, Path],
@@ -397,7 +397,7 @@ def open_view(
     mask: Mask | None = None,
     depth: np.ndarray | None = None,
 ) -> View:
-    """Open a photograph as a view and undistort it; see :func:`scene_of`.
+    """Open a photograph as a view and undistort it; see :func:`make_scene`.
 
     ``mask`` is a second alpha channel.
 

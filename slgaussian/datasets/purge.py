@@ -26,7 +26,7 @@ from slgaussian.datasets.data_card import describe_set
 from slgaussian.datasets.set_versions import FOLDER, add_version, read_versions, write_manifest
 from slgaussian.datasets.shards import (
     INDEX,
-    key_of,
+    make_key,
     read_index,
     retire_shards,
     write_index,
@@ -38,7 +38,7 @@ from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.encoding import decode_npz
 from slgaussian.storage.records import FOLDER as RECORDS
 from slgaussian.storage.records import Records
-from slgaussian.storage.store import ArtifactStore, ref_of
+from slgaussian.storage.store import ArtifactStore, parse_uri
 from slgaussian.storage.tables import read_table
 
 PURGED = "(withdrawn)"
@@ -59,7 +59,7 @@ class Traces:
 
     @cached_property
     def _words(self) -> re.Pattern[bytes]:
-        names = {form for c in self.clips for form in (c, json.dumps(c)[1:-1], key_of(c))}
+        names = {form for c in self.clips for form in (c, json.dumps(c)[1:-1], make_key(c))}
         words = "|".join(map(re.escape, sorted(names)))
         sample = rf"(?:{words})(?:_\d{{4,}}_\d{{4,}})?"
         text = rf"(?<![\w-])(?:{'|'.join([sample, *sorted(self.photographs)])})(?![\w-])"
@@ -130,7 +130,9 @@ def find_clips(place: str | None, sets: Sequence[Path]) -> set[str]:
 def find_traces(clips: Collection[str], store: ArtifactStore, folders: Sequence[Path]) -> Traces:
     """Find the photographs of clips in tables of views, and the clips that have the same ones."""
     views = set[tuple[str, str]]()
-    tables = [store.read(f.uri) for files in store.walk(["views"]) for f in files if ref_of(f.uri)]
+    tables = [
+        store.read(f.uri) for files in store.walk(["views"]) for f in files if parse_uri(f.uri)
+    ]
     tables += [file.read_bytes() for folder in folders for file in folder.rglob("views.parquet")]
     for data in tables:
         with suppress(ValueError, OSError, pa.ArrowException):  # damaged
@@ -188,7 +190,7 @@ def find_derived_files(store: ArtifactStore, marked: Collection[str]) -> list[st
     Artifacts that other records refer to stay, as do files that are not of the store.
     """
     records = [record for page in Records(store).all() for record in page if record.ref]
-    digests = {ref.digest for uri in marked if (ref := ref_of(uri))}
+    digests = {ref.digest for uri in marked if (ref := parse_uri(uri))}
     gone, before = dict[str, None](), -1
     while before != len(digests) + len(gone):
         before = len(digests) + len(gone)
@@ -200,7 +202,9 @@ def find_derived_files(store: ArtifactStore, marked: Collection[str]) -> list[st
                 digests.add(record.ref.digest)
     shared = {uri for r in records if r.file.uri not in gone for uri in r.uris}
     lost = {uri for r in records if r.file.uri in gone for uri in r.uris}
-    direct = {uri for uri in marked if ref_of(uri) or uri.startswith((f"{RECORDS}/", "digests/"))}
+    direct = {
+        uri for uri in marked if parse_uri(uri) or uri.startswith((f"{RECORDS}/", "digests/"))
+    }
     if any(uri.startswith(HISTORY) for uri in marked):
         direct |= {f"{HISTORY}{ending}" for ending in ("", "-wal", "-shm")}
     return [
@@ -231,7 +235,7 @@ def purge_folder(folder: Path, traces: Traces) -> None:
             elif file.suffix == ".torch":
                 clips = [clip for clip in re10k.read_chunk(file) if not traces.is_in_clip(clip)]
                 if clips:
-                    write_atomic(file, re10k.encoded(clips))
+                    write_atomic(file, re10k.encode_chunk(clips))
                 else:
                     file.unlink()
             elif file.name == re10k.INDEX:

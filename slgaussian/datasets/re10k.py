@@ -28,7 +28,7 @@ from slgaussian.checks import check_intrinsics
 from slgaussian.datasets.photographs import MIN_OPAQUE_ALPHA, rgb
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile
-from slgaussian.formats.images import opened
+from slgaussian.formats.images import open_image
 from slgaussian.io import write_atomic
 from slgaussian.scene import Camera, Scene, View, local_origin
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
@@ -65,13 +65,13 @@ class Clip:
 
     def camera(self, number: int, size: tuple[int, int], label: str) -> Camera:
         """Return the camera of a frame of a size (width, height), in the world."""
-        return camera_of(self.cameras[number], *size, label).relative_to(-self.origin)
+        return camera_from_row(self.cameras[number], *size, label).relative_to(-self.origin)
 
     def view(self, number: int, prefix: str = "") -> View:
         """Decode one frame; InputError, which begins with ``prefix``, if it is damaged."""
         label = f"{prefix}clip {self.key!r}, frame {number}"
         try:
-            with opened(io.BytesIO(self.images[number])) as image:
+            with open_image(io.BytesIO(self.images[number])) as image:
                 pixels = rgb(image, label)
         except ValueError as error:
             raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
@@ -86,7 +86,7 @@ class Clip:
         if not self.masks or not self.masks[number]:
             return None
         try:
-            with opened(io.BytesIO(self.masks[number]), ["PNG"]) as image:
+            with open_image(io.BytesIO(self.masks[number]), ["PNG"]) as image:
                 return np.asarray(image.convert("L")) >= MIN_OPAQUE_ALPHA
         except ValueError as error:
             label = f"clip {self.key!r}, frame {number}"
@@ -253,7 +253,7 @@ def _array(tensor: Any) -> np.ndarray:
     return array
 
 
-def camera_of(row: np.ndarray, width: int, height: int, label: str = "camera") -> Camera:
+def camera_from_row(row: np.ndarray, width: int, height: int, label: str = "camera") -> Camera:
     """Return the camera of a row of 18 numbers; InputError with the label if it is invalid."""
     row = np.asarray(row, np.float64)
     if row.shape != (ROW_LENGTH,) or not np.isfinite(row).all() or row[4:6].any():
@@ -275,13 +275,13 @@ def camera_of(row: np.ndarray, width: int, height: int, label: str = "camera") -
     return camera
 
 
-def row_of(camera: Camera) -> np.ndarray:
-    """Invert :func:`camera_of`: float32 [18], without the skew of K."""
+def row_from_camera(camera: Camera) -> np.ndarray:
+    """Invert :func:`camera_from_row`: float32 [18], without the skew of K."""
     fractions = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]] / ([camera.width, camera.height] * 2)
     return np.array([*fractions, 0, 0, *camera.w2c[:3].ravel()], np.float32)
 
 
-def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = None) -> Clip:
+def encode_clip(scene: Scene, passed_over: Callable[[InputError], None] | None = None) -> Clip:
     """Encode all views of a scene as a clip, in their order, without ground truth.
 
     Args:
@@ -306,7 +306,7 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
             Image.fromarray(view.opaque).save(mask, "PNG")
         images.append(buffer.getvalue())
         masks.append(mask.getvalue())
-        rows.append(row_of(camera.relative_to(origin)))
+        rows.append(row_from_camera(camera.relative_to(origin)))
     if not images:
         count = len(scene.cameras)
         raise InputError(f"scene {scene.name!r}: none of its {count} views can be read")
@@ -333,7 +333,7 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
         def write_chunk() -> None:
             number = max((int(Path(name).stem) for name in index.values()), default=-1) + 1
             names.append(f"{number:06d}.torch")
-            write_atomic(path / names[-1], encoded(batch))
+            write_atomic(path / names[-1], encode_chunk(batch))
             index.update({clip.key: names[-1] for clip in batch})
             write_atomic(path / INDEX, json.dumps(index, indent=1).encode())
             batch.clear()
@@ -353,7 +353,7 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
     return names
 
 
-def encoded(clips: Sequence[Clip]) -> bytes:
+def encode_chunk(clips: Sequence[Clip]) -> bytes:
     """Return the bytes of a chunk file of clips."""
     import torch
 
@@ -381,7 +381,7 @@ def encoded(clips: Sequence[Clip]) -> bytes:
 def _size(data: bytes) -> tuple[int, int] | None:
     """Return width and height of an encoded image; None if its header cannot be read."""
     try:
-        with opened(io.BytesIO(data)) as image:
+        with open_image(io.BytesIO(data)) as image:
             return image.size
     except ValueError:
         return None

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from slgaussian.datasets import colmap, llff, nerfstudio, npz, unposed
-from slgaussian.datasets.photographs import image_folder, photographs_of
+from slgaussian.datasets.photographs import image_folder, list_photographs
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene
 
@@ -33,25 +33,25 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
     """
     format, place = recognise(Path(path))
     if format == "photographs":
-        listed = unposed.named([place])
-        return unposed.posed(listed, unposed.find(listed)), unposed.folder_of(listed)
+        listed = unposed.name_files([place])
+        return unposed.read_with_cameras(listed, unposed.find(listed)), unposed.find_folder(listed)
     if format == "nerfstudio":
         return nerfstudio.read(place), place if place.is_dir() else place.parent
     if format == "npz":
         existing = [photo for photo in photographs if Path(photo).exists()] or [str(place.parent)]
-        return npz.read(place, existing), unposed.folder_of(unposed.named(existing))
+        return npz.read(place, existing), unposed.find_folder(unposed.name_files(existing))
     reader = {"colmap": colmap, "llff": llff}[format]
     scene = place if place.is_dir() else place.parent
     folder = image_folder(colmap.scene_folder(scene) if reader is colmap else scene).resolve()
     files = [
         file.resolve()
         for place in map(Path, photographs)
-        for file in (photographs_of(place) if place.is_dir() else [place])
+        for file in (list_photographs(place) if place.is_dir() else [place])
         if file.is_file()
     ]
     if not files or any(file.is_relative_to(folder) for file in files):
         return reader.read(place, str(folder)), folder
-    common = unposed.folder_of(dict(enumerate(files)))
+    common = unposed.find_folder(dict(enumerate(files)))
     read = reader.read(place, str(common))
     # A model may name its photographs from a folder above, and with other extensions.
     stems = {os.path.splitext(file)[0] for file in files}
@@ -91,7 +91,7 @@ def recognise(path: Path) -> tuple[str, Path]:
         if (path / llff.FILE).is_file():
             return "llff", path
         json_files = sorted(file.name for file in path.glob("*.json"))
-        if photographs_of(path) and not json_files:
+        if list_photographs(path) and not json_files:
             return "photographs", path
         names = json_files or sorted(inside.name for inside in path.iterdir())
         raise InputError(

@@ -43,7 +43,7 @@ RETIRED = "retired.json"
 SHARD_PATTERN = re.compile(rf"({'|'.join(SPLITS)})-(\d{{6,}})\.tar")
 
 
-def key_of(clip: str) -> str:
+def make_key(clip: str) -> str:
     """Return the key of a clip: letters, digits, ``_`` and ``-``.
 
     A dot would end the key, and a slash create a folder. A name with other characters, or one that

@@ -10,7 +10,7 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.formats.colour import is_srgb, read_colours
-from slgaussian.formats.images import opened
+from slgaussian.formats.images import open_image
 from slgaussian.scene import Camera
 
 SMALL_SIDE = 180
@@ -34,7 +34,7 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
         InputError: If it cannot be decoded.
     """
     try:
-        with opened(io.BytesIO(data)) as image:
+        with open_image(io.BytesIO(data)) as image:
             size = image.size
             if not is_srgb(image):
                 return small(read_colours(image, "photograph")), size

@@ -72,7 +72,7 @@ class Photographs:
         paths = [] if self.path is None else [self.path]
         scene = datasets.load(self.format, *paths, **self.options)
         arguments = self.size, self.near, self.far, self.judged
-        sample = scene.sample(scene.placed(self.context), self.targets, *arguments)
+        sample = scene.sample(scene.with_cameras(self.context), self.targets, *arguments)
         sample = replace(sample, scene=self.scene)
         sample.check_held_out()
         return sample

@@ -31,7 +31,7 @@ from slgaussian.datasets.shards import INDEX, REPAIR, unpack
 from slgaussian.datasets.splits import SPLITS
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
-from slgaussian.formats.images import opened
+from slgaussian.formats.images import open_image
 from slgaussian.storage.encoding import decode_arrays, decode_table
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 from slgaussian.storage.specs import load_spec
@@ -176,7 +176,7 @@ def _images(members: Mapping[str, bytes], role: str) -> torch.Tensor:
         (s for s in (".jpg", ".png") if f"{role}_{len(pixels)}{s}" in members), ""
     ):
         name = f"{role}_{len(pixels)}"
-        with opened(io.BytesIO(members[name + suffix])) as image:
+        with open_image(io.BytesIO(members[name + suffix])) as image:
             pixels.append(rgb(image, name))
     return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
 

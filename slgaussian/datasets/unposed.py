@@ -22,19 +22,19 @@ from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.two_view import MAX_IMAGE_SIDE, Photograph
 from slgaussian.checks import order_naturally
-from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of, read_lens, upright
+from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, read_lens, read_orientation, upright
 from slgaussian.datasets.lens import undistort
 from slgaussian.datasets.photographs import (
     Mask,
     composite,
     find_masks,
-    photographs_of,
+    list_photographs,
+    make_scene,
     rgb,
-    scene_of,
     skip_unreadable,
 )
 from slgaussian.errors import InputError
-from slgaussian.formats.images import opened, unreadable
+from slgaussian.formats.images import open_image, unreadable
 from slgaussian.io import file_digest
 from slgaussian.scene import Sample, Scene, Size, View
 
@@ -88,7 +88,7 @@ def _in_memory(images: Sequence[Any]) -> Scene:
     lenses = estimated.lenses()
 
     def read_view(name: str) -> View:
-        pixels = rgb(upright(pictures[name], orientation_of(pictures[name])), name)
+        pixels = rgb(upright(pictures[name], read_orientation(pictures[name])), name)
         view = View(name, estimated.cameras[name], pixels)
         return undistort(view, lenses[name]()) if name in lenses else view
 
@@ -113,7 +113,7 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
         InputError: As :func:`photographs`.
     """
     listed = _list_files(path, only)
-    return posed(listed, find(listed))
+    return read_with_cameras(listed, find(listed))
 
 
 def files(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> list[Path]:
@@ -124,10 +124,10 @@ def files(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> l
 
 def _list_files(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
     places = [path] if isinstance(path, Place) else path
-    return named(places if only is None else [Path(places[0]) / name for name in only])
+    return name_files(places if only is None else [Path(places[0]) / name for name in only])
 
 
-def named(places: Sequence[Place]) -> dict[str, Path]:
+def name_files(places: Sequence[Place]) -> dict[str, Path]:
     """List the photographs at files and folders, by their path below the common folder.
 
     Those in the order of letters, as in a folder or from a shell, are put in natural order. Of a
@@ -139,7 +139,7 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
     """
     listed: list[Path] = []
     for place in map(Path, places):
-        inside = skip_unreadable(photographs_of(place)) if place.is_dir() else [place]
+        inside = skip_unreadable(list_photographs(place)) if place.is_dir() else [place]
         for file in inside or sorted(place.iterdir()):
             _check_kind(file)
         if not inside:
@@ -156,7 +156,7 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
             f"photographs: found {', '.join(map(str, listed)) or 'nothing'}, expected at least "
             "two; add a photograph of the same things from a step aside"
         )
-    folder = folder_of(dict(enumerate(absolute)))
+    folder = find_folder(dict(enumerate(absolute)))
     names = [file.relative_to(folder).as_posix() for file in absolute]
     by_name = dict(zip(names, listed, strict=True))
     return {name: by_name[name] for name in order_naturally(names)}
@@ -174,7 +174,7 @@ def _check_kind(file: Path) -> None:
         raise InputError(f"{file}: is a raw file of a camera; develop it and save it as JPEG")
 
 
-def folder_of(files: Mapping[Any, Path]) -> Path:
+def find_folder(files: Mapping[Any, Path]) -> Path:
     """Return the absolute path of the folder relative to which photographs are named."""
     return Path(os.path.commonpath([os.path.abspath(file.parent) for file in files.values()]))
 
@@ -205,7 +205,7 @@ def photograph(file: Path, name: str, mask: Mask | None = None) -> Photograph:
     What the mask leaves out is black.
     """
     try:
-        with opened(file) as image:
+        with open_image(file) as image:
             if image.format == "TIFF":
                 image.load()  # Pillow rotates the pixels of a TIFF while loading
             return _photograph(image, name, mask)
@@ -217,7 +217,7 @@ def photograph(file: Path, name: str, mask: Mask | None = None) -> Photograph:
 
 def _photograph(image: Image.Image, name: str, mask: Mask | None = None) -> Photograph:
     full_size, (lens, focal) = image.size, read_lens(image)
-    orientation = orientation_of(image)
+    orientation = read_orientation(image)
     scale = min(1.0, MAX_IMAGE_SIDE / max(full_size))
     small_size = max(1, round(full_size[0] * scale)), max(1, round(full_size[1] * scale))
     # A JPEG is decoded at a half, a quarter or an eighth of its size, to save time and memory.
@@ -233,10 +233,10 @@ def _photograph(image: Image.Image, name: str, mask: Mask | None = None) -> Phot
     return Photograph(name, pixels, width, height, lens, focal)
 
 
-def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
+def read_with_cameras(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
     """Return the scene of photographs by name with their estimated cameras."""
-    name, record = folder_of(files).name or "photographs", estimated.as_json()
-    scene = scene_of(
+    name, record = find_folder(files).name or "photographs", estimated.as_json()
+    scene = make_scene(
         name, estimated.cameras, files, "photographs", lenses=estimated.lenses(), upright=True,
         estimation=record,
     )  # fmt: skip

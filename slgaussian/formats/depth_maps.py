@@ -20,7 +20,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from slgaussian.checks import matching, order_naturally
 from slgaussian.errors import InputError
-from slgaussian.formats.images import MAX_PIXELS, opened, read_npy, unreadable
+from slgaussian.formats.images import MAX_PIXELS, open_image, read_npy, unreadable
 from slgaussian.io import short_repr, write_file
 
 ARRAY_NAMES = {
@@ -198,7 +198,7 @@ def read_map(
         elif suffix == ".exr":
             raise ValueError("EXR")
         else:
-            with opened(file, kinds=["PNG", "TIFF"]) as image:
+            with open_image(file, kinds=["PNG", "TIFF"]) as image:
                 pixels = np.asarray(image)
                 if stated:
                     unit *= float(image.info.get(UNIT_KEY, MILLIMETRE)) / MILLIMETRE

@@ -47,7 +47,7 @@ def check_size(width: float, height: float) -> None:
 
 
 @contextmanager
-def opened(
+def open_image(
     source: str | Path | BinaryIO, kinds: Sequence[str] = PILLOW_FORMATS
 ) -> Iterator[Image.Image]:
     """Open an image and read its header only; load the pixels inside the ``with`` block.
@@ -117,7 +117,7 @@ def mask_levels(
         InputError: If it cannot be read, or its range is not clear.
     """
     try:
-        with opened(source, kinds) as image:
+        with open_image(source, kinds) as image:
             is_halved = ";16" in str(getattr(image, "tile", "")) and not image.mode.startswith("I")
             levels = _grey_or_alpha(image)
             if is_halved and not levels.any():  # Pillow reads the upper 8 bits of such colours
@@ -175,7 +175,7 @@ def read_npy(file: Path) -> np.ndarray:
     """Read a ``.npy`` file of at most :data:`MAX_PIXELS` numbers, without unpickling.
 
     Raises:
-        OSError, ValueError: See :func:`opened`.
+        OSError, ValueError: See :func:`open_image`.
     """
     with _damage_as_value_error():
         # Memory mapping detects a header that claims more data than the file has before allocation.

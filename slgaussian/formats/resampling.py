@@ -86,9 +86,9 @@ class Window:
     def covering(image_width: int, image_height: int, width: int, height: int) -> Window:
         """Return the window of a view of ``width`` x ``height`` to which an image is fitted."""
         fit = Fit.cover(image_width, image_height, width, height)
-        return Window.whole(image_width, image_height).cropped(fit)
+        return Window.whole(image_width, image_height).crop(fit)
 
-    def cropped(self, fit: Fit) -> Window:
+    def crop(self, fit: Fit) -> Window:
         """Return the window of a view that results from applying ``fit`` to this view."""
         x, y = (self.right - self.left) / fit.full_width, (self.bottom - self.top) / fit.full_height
         left, top = self.left + x * fit.left, self.top + y * fit.top

@@ -10,7 +10,7 @@ def seed_for(seed: int, content: str, stage: str) -> int:
 
     Args:
         seed: Seed of the run.
-        content: Digest of the scene by :func:`content_of`, not its name. Empty for random numbers
+        content: Digest of the scene by :func:`hash_arrays`, not its name. Empty for random numbers
             that belong to no scene.
         stage: Purpose of the random numbers.
     """
@@ -23,7 +23,7 @@ def rng_for(seed: int, content: str, stage: str) -> np.random.Generator:
     return np.random.default_rng(seed_for(seed, content, stage))
 
 
-def content_of(*arrays: np.ndarray) -> str:
+def hash_arrays(*arrays: np.ndarray) -> str:
     """Return the SHA-256, hexadecimal, of the dtypes, shapes and values of ordered arrays."""
     digest = hashlib.sha256()
     for array in arrays:

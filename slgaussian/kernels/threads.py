@@ -7,7 +7,7 @@ kernels.
 
 Floating-point sums depend on their order, which libraries choose by two properties unrelated to the
 data. The first is the number of threads: inside a network it is fixed (:func:`inside`,
-:func:`fixed`). The second is the memory alignment of arrays, which for weights depends on their
+:func:`limit_threads`). The second is the memory alignment of arrays, which for weights depends on their
 file: ``MKL_CBWR=AUTO`` makes MKL, PyTorch's linear algebra, independent of it.
 """
 
@@ -103,13 +103,13 @@ def limit(workers: int = 1) -> int:
     return size
 
 
-def allotted() -> int:
+def count_threads() -> int:
     """Return the number of threads for kernels of the calling thread, by default all cores."""
     return getattr(_local, "size", 0) or cores()
 
 
 @contextlib.contextmanager
-def fixed(count: int = 1) -> Iterator[None]:
+def limit_threads(count: int = 1) -> Iterator[None]:
     """Run PyTorch on ``count`` threads within the block, as the last bits depend on the number.
 
     For the calling thread only. On a GPU, convolutions are in float32, not TF32, by algorithms that
@@ -134,7 +134,7 @@ def inside(network: nn.Module) -> contextlib.AbstractContextManager[None]:
     weights or more.
     """
     weights = sum(parameter.numel() for parameter in network.parameters())
-    return fixed(LARGE_NETWORK_THREADS if weights >= LARGE_NETWORK else 1)
+    return limit_threads(LARGE_NETWORK_THREADS if weights >= LARGE_NETWORK else 1)
 
 
 def kernels() -> dict[str, str]:

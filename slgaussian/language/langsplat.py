@@ -33,7 +33,7 @@ def rescaled_filter(width: int) -> int:
     return max(1, round(FILTER_SIDE * width / FILTER_IMAGE_WIDTH))
 
 
-def smoothed(relevancy: np.ndarray, side: int = FILTER_SIDE) -> np.ndarray:
+def smooth(relevancy: np.ndarray, side: int = FILTER_SIDE) -> np.ndarray:
     """Apply a ``side`` x ``side`` mean filter with mirrored borders (BORDER_REFLECT_101).
 
     Takes float [H, W] in [0, 1]; returns float64 [H, W], accurate to 2^-30 and exactly equal for
@@ -49,12 +49,12 @@ def smoothed(relevancy: np.ndarray, side: int = FILTER_SIDE) -> np.ndarray:
 def find_mask(relevancy: np.ndarray, side: int = FILTER_SIDE) -> np.ndarray:
     """Compute the mask bool [H, W] of a relevancy image: smooth, rescale, threshold, clean.
 
-    The mean of the image and its :func:`smoothed` version is rescaled to [-1, 1] and thresholded at
+    The mean of the image and its :func:`smooth` version is rescaled to [-1, 1] and thresholded at
     :data:`MASK_THRESHOLD`; a :data:`MAJORITY_SIDE`-sided majority filter cleans the result. As in
     the published code, windows end at the image border and exclude the last row and column. A
     constant image gives an empty mask.
     """
-    blend = 0.5 * (smoothed(relevancy, side) + relevancy)
+    blend = 0.5 * (smooth(relevancy, side) + relevancy)
     low, high = blend.min(), blend.max()
     stretched = (blend - low) / (high - low + 1e-9)
     return _majority_filter(np.clip(2 * stretched - 1, 0, 1) > MASK_THRESHOLD)
@@ -63,13 +63,13 @@ def find_mask(relevancy: np.ndarray, side: int = FILTER_SIDE) -> np.ndarray:
 def find_point(
     relevancy: np.ndarray, side: int = FILTER_SIDE
 ) -> tuple[tuple[int, int], np.ndarray]:
-    """Find the maximum of the :func:`smoothed` image: one pixel (x, y), and the plateau [H, W].
+    """Find the maximum of the :func:`smooth` image: one pixel (x, y), and the plateau [H, W].
 
     LangSplat counts a hit if *any* maximal pixel lies in a ground-truth box, which a plateau over
     the whole picture always satisfies. The single pixel is the one of the plateau nearest to its
     centroid; ties go to the first in row-major order.
     """
-    values = smoothed(relevancy, side)
+    values = smooth(relevancy, side)
     plateau = values == values.max()
     rows, columns = np.nonzero(plateau)
     n = len(rows)

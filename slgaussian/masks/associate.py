@@ -12,7 +12,7 @@ from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskProposer, MaskTracker
 from slgaussian.masks.consensus import vote_on_objects
-from slgaussian.masks.flatten import CRUMB_SHARE, flatten, nearest_pixel, renumber, without_crumbs
+from slgaussian.masks.flatten import CRUMB_SHARE, flatten, nearest_pixel, remove_crumbs, renumber
 
 SAME_IOU = 0.5
 """IoU with a propagated object above which a detection is that object."""
@@ -76,7 +76,7 @@ def associate(
         propagated = tracker.propagate(frame) if index else unlabelled
         detected = _detect(frame, proposer, propagated)
         detections.append(detected)
-        first = without_crumbs(match_detections(propagated, detected, last_id + 1))
+        first = remove_crumbs(match_detections(propagated, detected, last_id + 1))
         last_id = max(last_id, int(first.max()))
         tracker.add(frame, first)
         copies, times = _copies(frame, tracker, first, replicas, all_copies)

@@ -34,7 +34,7 @@ def renumber(labels: np.ndarray) -> np.ndarray:
     return relabel_sequential(labels)[0].astype(np.int32)
 
 
-def without_crumbs(labels: np.ndarray) -> np.ndarray:
+def remove_crumbs(labels: np.ndarray) -> np.ndarray:
     """Assign the pixels of every crumb the label of the nearest larger piece.
 
     Unassigned pixels form pieces too: small holes are filled, and a speck in a large unassigned

@@ -75,7 +75,7 @@ class Precomputed(PrecomputedConfig):
         height, width = view.image.shape[:2]
         from slgaussian.formats.resampling import Window
 
-        drawn_on, cropped = view.shown, Window.whole(width, height)
+        drawn_on, cropped = view.visible_window, Window.whole(width, height)
         if ids.shape == (height, width) or (
             cropped.has_shape(*ids.shape[::-1]) and not drawn_on.has_shape(*ids.shape[::-1])
         ):
@@ -144,11 +144,11 @@ def read_ids(file: Path) -> np.ndarray:
 
 
 def _read_png(file: Path) -> np.ndarray:
-    from slgaussian.formats.images import opened
+    from slgaussian.formats.images import open_image
 
     with file.open("rb") as stream:
         bits = stream.read(26)[24:25]
-    with opened(file, kinds=["PNG"]) as image:
+    with open_image(file, kinds=["PNG"]) as image:
         mode, pixels = image.mode, np.asarray(image)
     if mode == "1":
         return pixels.astype(np.uint8)

@@ -82,7 +82,7 @@ def continue_surfaces(
         arrays["sh"] = rgb_to_sh(arrays["sh"])
         arrays["source"] = source[unseen].astype(np.int32)
         parts.append(Gaussians.from_arrays(arrays))
-    return Gaussians.concatenated(parts)
+    return Gaussians.concatenate(parts)
 
 
 def _blocks_beyond_borders(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:

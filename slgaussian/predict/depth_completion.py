@@ -43,7 +43,7 @@ REFITS = 15
 
 MEDIAN_RADIUS = 7
 """Half the side of the window of the weighted median, pixels."""
-MEDIAN_COLOR = 40.0
+MEDIAN_COLOUR = 40.0
 """Standard deviation of the colour weight: sum of absolute differences over RGB, 0 to 765."""
 
 # Costs of semi-global matching are bytes. An answered pixel costs 0 on its plane and 100 where its
@@ -299,7 +299,7 @@ def weighted_median(
         image: uint8 [H, W, 3]
         low, step: Smallest candidate and distance between candidates.
     """
-    distance = np.arange(3 * 255 + 1) / MEDIAN_COLOR
+    distance = np.arange(3 * 255 + 1) / MEDIAN_COLOUR
     weights = np.exp(-0.5 * distance**2).astype(np.float32)
     bins = ((inverse_depth - low) / step * 2 + 0.5).clip(0).astype(np.int32)
     out = np.empty_like(inverse_depth)

@@ -81,7 +81,7 @@ def propagate_depth(
             source = swept[link.source]
             y, x = np.nonzero(source.answered)
             w = source.inverse_depth[y, x].astype(np.float64)
-            at, ratio = link.relative.reversed().project(np.stack([x, y], 1) + 0.5, w)
+            at, ratio = link.relative.reverse().project(np.stack([x, y], 1) + 0.5, w)
             inside = (ratio > 1e-9) & (at >= 0).all(1) & (at < landed.shape[::-1]).all(1)
             column, row = at[inside].astype(np.int64).T
             difference = smooth[link.source][y[inside], x[inside]] - smooth[i][row, column]

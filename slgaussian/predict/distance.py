@@ -74,7 +74,7 @@ def _median_depths(
     gate = MAX_EPIPOLAR_DISTANCE * float(np.hypot(camera_a.height, camera_a.width))
     fits = np.abs(relative.epipolar_distance(a, b)) < gate
     a, b = a[fits], b[fits]
-    near_a, near_b = relative.triangulate(a, b), relative.reversed().triangulate(b, a)
+    near_a, near_b = relative.triangulate(a, b), relative.reverse().triangulate(b, a)
     front = (near_a > 0) & (near_b > 0)
     if front.sum() < MIN_MATCHES:
         return None

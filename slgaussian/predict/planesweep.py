@@ -116,7 +116,7 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
     visible, beyond = (
         part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (visible, beyond)
     )
-    return Gaussians.concatenated([visible[drawn], beyond])
+    return Gaussians.concatenate([visible[drawn], beyond])
 
 
 def sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[SweptView]:

@@ -378,7 +378,7 @@ def _read(
 
 def _view_to_map(view: View, depth_map: DepthMap) -> dict[str, np.ndarray]:
     """From pixels of the view to those of its map; first what the file's intrinsics fit best."""
-    part, camera = view.shown, view.camera
+    part, camera = view.visible_window, view.camera
     x, y = (part.right - part.left) / camera.width, (part.bottom - part.top) / camera.height
     to_photo = np.array([[x, 0, part.left], [0, y, part.top], [0, 0, 1.0]])
     height, width = depth_map.depth.shape

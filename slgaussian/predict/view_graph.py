@@ -10,7 +10,7 @@ import numpy as np
 
 from slgaussian.cameras.match_graph import MatchGraph, Verified, match_views, neighbours
 from slgaussian.cameras.relative import Relative
-from slgaussian.errors import InputError, listed
+from slgaussian.errors import InputError, join_names
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.pose_refinement import (
     MAX_EPIPOLAR_DISTANCE,
@@ -119,7 +119,7 @@ def link_views(sample: Sample, ranged: bool) -> ViewGraph:
     unlinked = {i for i, sources in enumerate(scored_links) if not sources}
     if ranged or matches:
         if unlinked and len(views) > 2:
-            names = listed([[views[i].name for i in sorted(unlinked)]])
+            names = join_names([[views[i].name for i in sorted(unlinked)]])
             warnings.warn(
                 f"{names}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
                 "which the given poses alone must find; leave out what shows another place "
@@ -136,7 +136,7 @@ def link_views(sample: Sample, ranged: bool) -> ViewGraph:
     if unlinked:
         raise InputError(
             "views do not overlap or have too little texture: "
-            f"{listed([views[i].name] for i in sorted(unlinked))} has fewer than {MIN_MATCHES} "
+            f"{join_names([views[i].name] for i in sorted(unlinked))} has fewer than {MIN_MATCHES} "
             "matches with any other; leave out what shows something else, choose views that "
             "overlap, or give near and far"
         )
@@ -160,7 +160,7 @@ def verify(views: Sequence[View], graph: MatchGraph) -> Verified:
         relative = refine(initial, a[possible], b[possible])
         fits = possible & (np.abs(relative.epipolar_distance(a, b)) < INLIER_DISTANCE)
         p, q, a, b = (array[fits] for array in (p, q, a, b))
-        front = (relative.triangulate(a, b) > 0) & (relative.reversed().triangulate(b, a) > 0)
+        front = (relative.triangulate(a, b) > 0) & (relative.reverse().triangulate(b, a) > 0)
         if len(a) < MIN_MATCHES:
             continue
         reason = _rejection_reason(views[i], views[j], relative, a, b, front)
@@ -202,7 +202,7 @@ def _link(
 ) -> None:
     """Link two views in both directions, each link with the sum of its matches' angle weights."""
     forth = Relative.between(cameras[i], cameras[j])
-    back = forth.reversed()
+    back = forth.reverse()
     depth_a, depth_b = forth.triangulate(at_a, at_b), back.triangulate(at_b, at_a)
     fits = np.abs(forth.epipolar_distance(at_a, at_b)) < INLIER_DISTANCE
     good = fits & (depth_a > 0) & (depth_b > 0)

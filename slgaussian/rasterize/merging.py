@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import SH_C0, Gaussians
-from slgaussian.rasterize.picture import picture, seen_colors
+from slgaussian.rasterize.picture import compute_view_colours, picture
 from slgaussian.rasterize.render_settings import PRESETS
 from slgaussian.scene import Camera
 
@@ -169,7 +169,7 @@ def _rows_of_pixels(source: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray
 
 def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Render colours float32 [H, W, 3] as a field does, and depth float32 [H, W]."""
-    drawn = picture(gaussians, seen_colors(gaussians, camera), camera)
+    drawn = picture(gaussians, compute_view_colours(gaussians, camera), camera)
     colour = drawn.values / np.maximum(drawn.alpha, np.float32(MIN_OPACITY))[..., None]
     return colour.clip(0, 1), drawn.depth
 

@@ -55,7 +55,7 @@ def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture
     return Picture(*drawn)
 
 
-def seen_colors(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+def compute_view_colours(gaussians: Gaussians, camera: Camera) -> np.ndarray:
     """Compute :func:`slgaussian.rasterize.harmonics.colors` bit-exactly, float32 [N, 3]."""
     sh = gaussians.to_arrays()["sh"]
     if sh.shape[1] == 1 and sh.dtype == np.float32:

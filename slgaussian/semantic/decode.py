@@ -99,7 +99,7 @@ def _make_empty_maps(features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.zeros(features.shape[:2], np.int32), np.zeros(features.shape[:2], np.float32)
 
 
-def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder:
+def make_decoder(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder:
     """Make the decoder that the build settings of a field ask for."""
     options = settings.get(str(settings.get("codes")), {})
     return NearestCode(bank) if options.get("decode") == "nearest" else Decoder(bank)

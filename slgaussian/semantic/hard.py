@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slgaussian.kernels.threads import allotted
+from slgaussian.kernels.threads import count_threads
 
 if TYPE_CHECKING:
     from slgaussian.gaussians import Gaussians
@@ -62,7 +62,9 @@ def fill_from_other_views(labels: np.ndarray, gaussians: Gaussians) -> np.ndarra
             continue
         reach = np.maximum(MAX_MATCH_DISTANCE * widths[firsts[inner]], 1e-12)
         tree, queries = cKDTree(means[firsts[outer]]), means[firsts[inner]]
-        distance, match = tree.query(queries, distance_upper_bound=reach.max(), workers=allotted())
+        distance, match = tree.query(
+            queries, distance_upper_bound=reach.max(), workers=count_threads()
+        )
         matched = distance < reach
         filled.ravel()[owners[inner[matched]]] = labels.ravel()[owners[outer[match[matched]]]]
     return filled

@@ -18,7 +18,7 @@ import torch
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short_repr
-from slgaussian.kernels.seeding import content_of
+from slgaussian.kernels.seeding import hash_arrays
 from slgaussian.scene import Camera
 
 GEOMETRY = ("means", "scales", "quats", "opacities", "source")
@@ -83,7 +83,7 @@ class Lesson:
         """Digest that seeds random draws: of labels and cameras, not of the sample's name."""
         cameras = [np.stack([camera.K for camera in self.cameras])]
         cameras.append(np.stack([camera.c2w for camera in self.cameras]))
-        return content_of(self.labels, self.targets, *cameras)
+        return hash_arrays(self.labels, self.targets, *cameras)
 
     def counts(self) -> dict[str, Any]:
         """Return numbers of Gaussians and objects, and shares of unlabelled pixels, by column."""

@@ -32,7 +32,7 @@ from torch.nn import functional as F
 
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import rng_for, seed_for
-from slgaussian.kernels.threads import fixed
+from slgaussian.kernels.threads import limit_threads
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.rasterize import rasterize
@@ -173,7 +173,7 @@ def train(
     )
     rows = load_checkpoint(folder, branch, optimiser, run)
     resumed, start_time = len(rows), time.perf_counter()
-    with fixed(settings.threads):
+    with limit_threads(settings.threads):
         for step in range(resumed, settings.steps):
             drawn = draw_batch(lessons, settings, step)
             rows.append(_step(branch.train(), optimiser, drawn, settings, step))

@@ -13,7 +13,7 @@ from itertools import chain
 
 from slgaussian.storage.records import FOLDER, Records
 from slgaussian.storage.specs import spec_names
-from slgaussian.storage.store import ArtifactStore, ref_of
+from slgaussian.storage.store import ArtifactStore, parse_uri
 
 _UNFINISHED = re.compile(r".*/\.[^/]+\.tmp|\.probe-[0-9a-f]{32}")
 _FOLDERS = {"", FOLDER, "digests", *spec_names()}
@@ -76,7 +76,7 @@ def collect(
             if _UNFINISHED.fullmatch(file.uri) and folder in _FOLDERS:
                 garbage.unfinished += old
                 gone += [file] * old
-            elif ref_of(file.uri) is None:
+            elif parse_uri(file.uri) is None:
                 continue  # not a file of the store
             elif _name(file.uri) in referred:
                 garbage.kept += 1

@@ -69,7 +69,7 @@ def _inspect_folder(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def _inspect_store(url: str) -> Iterator[dict[str, Any]]:
-    from slgaussian.storage.store import CONCURRENT_READS, ArtifactStore, ref_of
+    from slgaussian.storage.store import CONCURRENT_READS, ArtifactStore, parse_uri
 
     store = ArtifactStore(url)
 
@@ -80,7 +80,7 @@ def _inspect_store(url: str) -> Iterator[dict[str, Any]]:
         )
 
     for files in store.walk():
-        uris = [file.uri for file in files if ref_of(file.uri) is not None]
+        uris = [file.uri for file in files if parse_uri(file.uri) is not None]
         yield from store.map(inspect_artifact, uris, CONCURRENT_READS)
 
 

@@ -42,14 +42,14 @@ def check_url(url: str | os.PathLike[str], name: str) -> None:
         name: Beginning of the message, such as "store".
     """
     text = os.fspath(url)
-    if redacted(text) != text:
+    if redact(text) != text:
         raise InputError(
-            f"{name} {redacted(text)}: found credentials in the URL, expected none; take them out "
+            f"{name} {redact(text)}: found credentials in the URL, expected none; take them out "
             f"and set environment variables ({_CREDENTIALS}, or those of its file system)"
         )
 
 
-def redacted(text: str) -> str:
+def redact(text: str) -> str:
     """Replace logins and keys in the URLs of a text by ``***``."""
     return _SECRET_PATTERN.sub(r"\1***", _LOGIN_PATTERN.sub("://***@", text))
 
@@ -107,8 +107,8 @@ def file_system_errors() -> tuple[type[Exception], ...]:
 def explain_error(error: Exception) -> str:
     """Describe an error of :func:`file_system_errors`; those of remote file systems with advice."""
     if isinstance(error, OSError) and error.errno and error.strerror:
-        return redacted(error.strerror)
-    message = redacted(" ".join(str(error).split())) or type(error).__name__
+        return redact(error.strerror)
+    message = redact(" ".join(str(error).split())) or type(error).__name__
     return (
         f"{message}; check the network, the bucket (which is never made), its rights, "
         f"AWS_ENDPOINT_URL and the credentials ({_CREDENTIALS})"

@@ -259,7 +259,7 @@ class ArtifactStore:
             self.map(self.check_exists, ref.uris)
             return
         for uri in ref.uris:
-            part = ref_of(uri)
+            part = parse_uri(uri)
             if part is None:
                 raise self._damage(uri, "another path", "that of an artifact")
             self.get(part)
@@ -404,7 +404,7 @@ def address(spec: str, digest: str) -> str:
     return f"{spec}/{digest[:2]}/{digest}{load_spec(spec).suffix}"
 
 
-def ref_of(uri: str) -> ArtifactRef | None:
+def parse_uri(uri: str) -> ArtifactRef | None:
     """Return the ref of the artifact at a path of a store; None for other files."""
     spec, digest = uri.partition("/")[0], uri.rpartition("/")[2].partition(".")[0]
     is_artifact = spec in spec_names() and is_digest(digest) and uri == address(spec, digest)

@@ -67,7 +67,7 @@ class LiveField:
     @cached_property
     def _answers(self) -> PageAnswers:
         camera = next(iter(self.field.cameras.values()))
-        return PageAnswers(self.ids, self.field.changed(edits=Edits()).render(camera).ids)
+        return PageAnswers(self.ids, self.field.with_changes(edits=Edits()).render(camera).ids)
 
     @property
     def unsaved(self) -> bool:
@@ -141,7 +141,7 @@ CALLS: dict[str, Call] = {
     "state": lambda live, body: live.state(),
     "query": lambda live, body: live.query(body.texts),
     "teach": lambda live, body: live.change(live.field.teach(body.word, body.object)),
-    "name": lambda live, body: live.change(live.field.named(body.object, body.word)),
+    "name": lambda live, body: live.change(live.field.rename(body.object, body.word)),
     "remove": lambda live, body: live.change(live.field.without([body.object])),
     "restore": lambda live, body: live.change(live.field.restore([body.object])),
     "undo": lambda live, body: live.undo(),

@@ -98,7 +98,7 @@ def test_attribution_names_threshold_or_language_for_a_wrong_rule_or_vector(room
     places = np.searchsorted(exact.bank.ids, thing)
     features = exact.bank.features.copy()
     features[places] = exact.bank.features[places[::-1]]
-    wrong = exact.changed(bank=replace(exact.bank, features=features))
+    wrong = exact.with_changes(bank=replace(exact.bank, features=features))
     row = make_rows(room, wrong)[phrase]
     assert row["threshold_iou"] < 0.5 < row["language_iou"]
     assert row["lost"] == "language"
@@ -116,7 +116,9 @@ def test_attribution_names_masks_for_objects_in_pieces_unless_a_group_joins_them
     levels = np.where(pieces, len(bank), np.arange(len(bank)))[None].astype(np.int32)
     wrong = field.encoder.encode_text([room.sample.phrases[thing[1]]])
     words = np.repeat(wrong[None], bank.present.shape[1], 1).astype(np.float32)
-    row = make_rows(room, field.changed(bank=replace(bank, levels=levels, group_features=words)))
+    row = make_rows(
+        room, field.with_changes(bank=replace(bank, levels=levels, group_features=words))
+    )
     assert row[phrase]["language_iou"] > 0.5 and row[phrase]["lost"] == "language"
 
 

@@ -1,6 +1,6 @@
 """Costs of methods: medians and peaks of the rows of `times`."""
 
-from slgaussian.benchmark.costs import Cost, costs_of
+from slgaussian.benchmark.costs import Cost, measure_costs
 from slgaussian.benchmark.scores import Rows
 from slgaussian.storage.specs import load_spec
 
@@ -26,7 +26,7 @@ ROWS = [
 
 def test_costs_are_medians_of_measurements_and_the_largest_peak():
     other = row("a", "1", "x", method="other", query_seconds=2.0, prepare_seconds=4.0)
-    ours, theirs = costs_of(Rows.from_rows([*ROWS, other], "times"))
+    ours, theirs = measure_costs(Rows.from_rows([*ROWS, other], "times"))
     assert ours == Cost("d", "ours", 20.0, 3.0, None, 8.0, 150)
     assert theirs == Cost("d", "other", None, 2.0, 4.0, None, None)
-    assert costs_of(Rows.from_rows([], "times")) == []
+    assert measure_costs(Rows.from_rows([], "times")) == []

@@ -25,7 +25,7 @@ def with_more_alpha(more):
 
 
 def of_the_next_pixel(cameras, *views):
-    return unproject([camera.cropped(1, 0, 32, 24) for camera in cameras], *views)
+    return unproject([camera.crop(1, 0, 32, 24) for camera in cameras], *views)
 
 
 @pytest.mark.parametrize(

@@ -94,9 +94,9 @@ def test_read_labels_resamples_masks_as_the_image(tmp_path_factory, width, heigh
     full = read(folder, thing(), thing("box", SQUARE, (20, 10, 28, 18)))
     fitted = read_labels(folder, NAME, width, height)
     for category, mask in full.items():
-        assert np.array_equal(fitted[category], make_view(mask).resized(height, width).opaque)
+        assert np.array_equal(fitted[category], make_view(mask).resize(height, width).opaque)
     # A box follows its pixels: its corners are where the resized camera sees them.
-    view = make_view().resized(height, width)
+    view = make_view().resize(height, width)
     boxes = read_truth(folder, ["box"], [view]).boxes[NAME]["box"]
     rays = np.linalg.inv(make_view().camera.K) @ np.array([[20, 10, 1], [28, 18, 1]], float).T
     corners = (view.camera.K @ rays)[:2].T
@@ -106,7 +106,7 @@ def test_read_labels_resamples_masks_as_the_image(tmp_path_factory, width, heigh
 def test_read_truth_gives_an_empty_mask_to_an_absent_category(tmp_path):
     write(tmp_path, thing(), thing("edge", [[0, 0], [1, 0], [1, 23], [0, 23]], (0, 0, 1, 23)))
     categories = ["edge", "red crate", "ghost"]
-    truth = read_truth(tmp_path, categories, [make_view().resized(24, 24)])
+    truth = read_truth(tmp_path, categories, [make_view().resize(24, 24)])
     is_visible = {category: bool(mask.any()) for category, mask in truth.masks[NAME].items()}
     assert list(is_visible.items()) == [("edge", False), ("red crate", True), ("ghost", False)]
     assert truth.boxes[NAME]["ghost"].shape == (0, 4)

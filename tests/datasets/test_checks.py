@@ -178,9 +178,9 @@ def test_order_naturally_sorts_only_names_in_the_order_of_letters(tmp_path):
     assert sorted(mixed, key=natural_key) == [mixed[k] for k in (0, 3, 4, 2, 1, 5, 6)]
     scene = write_scene(tmp_path, sorted(frames))
     assert list(scene.cameras) == frames
-    assert list(unposed.named([tmp_path])) == frames
-    assert list(unposed.named([tmp_path / name for name in sorted(frames)])) == frames
-    assert list(unposed.named([tmp_path / name for name in frames[::-1]])) == frames[::-1]
+    assert list(unposed.name_files([tmp_path])) == frames
+    assert list(unposed.name_files([tmp_path / name for name in sorted(frames)])) == frames
+    assert list(unposed.name_files([tmp_path / name for name in frames[::-1]])) == frames[::-1]
 
 
 def test_scene_refuses_two_names_of_one_photograph(tmp_path):

@@ -10,7 +10,7 @@ from slgaussian.datasets.context_views import (
     MIN_INNER_DISTANCE,
     MIN_OUTER_DISTANCE,
     MIN_TARGET_DISTANCE,
-    context_of,
+    choose_context,
 )
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
@@ -25,7 +25,7 @@ def camera(x, turned=0.0):
     return Camera(K, pose, 24, 16)
 
 
-def scene_of(cameras, unreadable=()):
+def make_scene(cameras, unreadable=()):
     def read(name):
         if name in unreadable:
             raise InputError(f"{name}: cannot be read")
@@ -36,17 +36,17 @@ def scene_of(cameras, unreadable=()):
 
 def walk(places, unreadable=()):
     """Make a scene of views along a line, named by their x."""
-    return scene_of({f"{x:g}": camera(x) for x in places}, unreadable)
+    return make_scene({f"{x:g}": camera(x) for x in places}, unreadable)
 
 
 def test_gaps_are_halved_without_targets_neighbours_of_targets_and_unreadable_views():
     scene = walk(range(101))
-    assert context_of(scene, ["20", "60"], ["30"], 3) == ("20", "60", "40")
-    assert context_of(scene, ["20", "60"], [], 5)[3:] == ("30", "50")
-    chosen = context_of(scene, ["20", "60"], ["40", "50"], 8)
+    assert choose_context(scene, ["20", "60"], ["30"], 3) == ("20", "60", "40")
+    assert choose_context(scene, ["20", "60"], [], 5)[3:] == ("30", "50")
+    chosen = choose_context(scene, ["20", "60"], ["40", "50"], 8)
     assert min(abs(float(a) - b) for a in chosen[2:] for b in (40, 50)) >= MIN_TARGET_DISTANCE * 40
     assert chosen[2] in ("36", "44")
-    third = context_of(walk(range(101), unreadable=("40",)), ["20", "60"], [], 3)[2]
+    third = choose_context(walk(range(101), unreadable=("40",)), ["20", "60"], [], 3)[2]
     assert third in ("39", "41")
 
 
@@ -54,7 +54,7 @@ def test_views_turned_beyond_the_limit_are_not_chosen():
     cameras = {"a": camera(0), "b": camera(1)}
     cameras["beyond"] = camera(0.5, turned=MAX_AXIS_ANGLE + 1)
     cameras["within"] = camera(0.4, turned=MAX_AXIS_ANGLE - 1)
-    assert context_of(scene_of(cameras), ["a", "b"], [], 3)[2] == "within"
+    assert choose_context(make_scene(cameras), ["a", "b"], [], 3)[2] == "within"
 
 
 @given(
@@ -67,10 +67,10 @@ def test_smaller_counts_choose_a_prefix_and_views_stay_apart(places, count, rand
     scene = walk(places)
     arguments = scene, [str(first), str(last)], [str(target)]
     try:
-        chosen = context_of(*arguments, count)
+        chosen = choose_context(*arguments, count)
     except InputError:
         return
-    assert context_of(*arguments, count - 1) == chosen[:-1]
+    assert choose_context(*arguments, count - 1) == chosen[:-1]
     assert len(set(chosen)) == count and str(target) not in chosen
     unit = abs(first - last)
     for k, name in enumerate(chosen[2:], 2):

@@ -60,7 +60,7 @@ def test_film_or_raw_file_error_says_what_to_do(tmp_path, place, refusal):
     (tmp_path / place).write_bytes(b"")
     for places in ([tmp_path / place], [tmp_path]):
         with pytest.raises(InputError, match=refusal):
-            unposed.named(places)
+            unposed.name_files(places)
 
 
 def write_scene(format, root):

@@ -29,7 +29,7 @@ def rooms():
 def split(rooms, tmp_path_factory):
     """Three clips in two chunks."""
     folder = tmp_path_factory.mktemp("re10k") / "train"
-    clips = [re10k.clip_of(room) for room in rooms]
+    clips = [re10k.encode_clip(room) for room in rooms]
     size = sum(map(len, clips[0].images)) + 1
     assert re10k.write(folder, iter(clips), chunk_bytes=size) == ["000000.torch", "000001.torch"]
     return folder
@@ -59,7 +59,7 @@ def test_chunks_and_index_have_the_published_format(split):
 
 
 def test_added_clips_make_new_chunks_and_equal_clips_equal_bytes(rooms, split, tmp_path):
-    clips = [re10k.clip_of(room) for room in rooms]
+    clips = [re10k.encode_clip(room) for room in rooms]
     assert re10k.write(tmp_path, clips[:2]) == ["000000.torch"]
     assert (tmp_path / "000000.torch").read_bytes() == (split / "000000.torch").read_bytes()
     assert re10k.write(tmp_path, clips[2:]) == ["000001.torch"]
@@ -76,15 +76,15 @@ def test_transparent_pixels_survive_a_round_trip(rooms):
     def read(name):
         return replace(rooms[0].read(name), opaque=hidden[name])
 
-    clip = re10k.clip_of(replace(rooms[0], read=read))
-    data = re10k.encoded([clip])
+    clip = re10k.encode_clip(replace(rooms[0], read=read))
+    data = re10k.encode_chunk([clip])
     (entry,) = torch.load(io.BytesIO(data), weights_only=True)
     assert [len(mask) > 0 for mask in entry["masks"]] == [True, False, True]
     (again,) = re10k.clips_in(data, "chunk")
     for number, expected in enumerate(hidden.values()):
         seen = again.view(number).opaque
         assert seen is None if expected is None else np.array_equal(seen, expected)
-    plain = re10k.clip_of(rooms[0])
+    plain = re10k.encode_clip(rooms[0])
     assert replace(again, masks=()).images == plain.images and plain.masks == ()
     for masks in (entry["masks"][:2], [torch.zeros(9)] * 3):
         file = io.BytesIO()
@@ -107,7 +107,7 @@ def test_cameras_survive_a_round_trip(turn, place, focal, middle):
     c2w[:3, :3] = Rotation.from_quat(turn).as_matrix()
     c2w[:3, 3] = place
     K = np.array([[focal * 640, 0, middle * 640], [0, focal * 700, 170], [0, 0, 1]])
-    restored = re10k.camera_of(re10k.row_of(Camera(K, c2w, 640, 360)), 640, 360)
+    restored = re10k.camera_from_row(re10k.row_from_camera(Camera(K, c2w, 640, 360)), 640, 360)
     np.testing.assert_allclose(restored.K, K, rtol=1e-6)
     np.testing.assert_allclose(restored.c2w, c2w, atol=1e-5)  # float32 of positions up to 10
 

@@ -68,7 +68,7 @@ def test_folder_of_turned_photographs_is_a_scene_of_upright_ones(folder, pair, f
     sample = scene.sample(["a", "b"], size=(100, 150))
     assert (
         sample.estimation == scene.estimation
-        and sample.resized(50, 75).estimation == scene.estimation
+        and sample.resize(50, 75).estimation == scene.estimation
     )
     for view in sample.context:
         assert view.camera.estimated == Estimated((0.9, 1.1), "guess", 0.75)

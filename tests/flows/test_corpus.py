@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("server")
 def make_clip(seed: int, views: int = 6) -> re10k.Clip:
     size = {"height": 90, "width": 160}
     room = datasets.load("procedural", seed=seed, objects=4, views=views, baseline=1.0, **size)
-    return re10k.clip_of(room)
+    return re10k.encode_clip(room)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.io import file_sha256
 from slgaussian.semantic.versions import Versions, mark_clip
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactStore, ref_of
+from slgaussian.storage.store import ArtifactStore, parse_uri
 from tests.json_documents import read_document
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -65,7 +65,7 @@ def output(tmp_path_factory, server):
     folder = tmp_path_factory.mktemp("dataset")
     for seed in (0, 1):
         re10k.write(
-            folder / "chunks", [replace(re10k.clip_of(room(seed)), url=f"https://video/{seed}")]
+            folder / "chunks", [replace(re10k.encode_clip(room(seed)), url=f"https://video/{seed}")]
         )
     for file in (folder / "chunks").glob("*.torch"):
         os.utime(file, (time.time() - 60,) * 2)
@@ -105,7 +105,7 @@ def test_an_item_holds_what_the_scene_shows(output):
     names = list(scene.cameras)
     for role, refs in (("context", frames["context"]), ("target", frames["targets"])):
         for view, frame in enumerate(refs):
-            truth = scene.read(names[frame]).resized(72, 96)
+            truth = scene.read(names[frame]).resize(72, 96)
             image = item[role]["image"][view].numpy().transpose(1, 2, 0)
             assert np.abs(image.astype(int) - truth.image).mean() < 4  # noise, JPEG twice
             np.testing.assert_allclose(item[role]["K"][view], truth.camera.K, atol=1e-3)
@@ -336,7 +336,7 @@ def test_purge_removes_a_clip_from_store_set_and_chunks(output, tmp_path, slg):
 
 
 def find_refs(store: ArtifactStore, spec: str) -> list:
-    return [ref_of(file.uri) for files in store.walk([spec]) for file in files]
+    return [parse_uri(file.uri) for files in store.walk([spec]) for file in files]
 
 
 def test_dataset_leaves_out_bad_scenes_only(output, tmp_path):

@@ -13,7 +13,7 @@ from tiny_program import wait_until
 from web import call_prefect, post, serve_prefect, start_prefect
 
 from flows.config import PRESETS
-from flows.read_config import checked
+from flows.read_config import validate_settings
 from flows.runners.environment import FLOWS
 from slgaussian import __version__, datasets
 from slgaussian.datasets import re10k
@@ -80,7 +80,7 @@ def test_a_form_takes_what_a_file_takes_and_means_the_same(forms, command, value
     answer = post(url, {"parameters": parameters})
     assert answer.status_code == 201, answer.text
     config = flow.validate_parameters(parameters)["config"]
-    assert config == checked(type(config), parameters["config"], "test")
+    assert config == validate_settings(type(config), parameters["config"], "test")
     if values.get("preset") == "paper":
         assert config.codes == "grid"
 
@@ -92,7 +92,7 @@ def test_a_form_refuses_what_a_file_refuses(forms, command, values):
     answer = post(url, {"parameters": parameters})
     assert answer.status_code in (409, 422), answer.text
     with pytest.raises(InputError):
-        checked(get_type_hints(flow.fn)["config"], parameters["config"], "test")
+        validate_settings(get_type_hints(flow.fn)["config"], parameters["config"], "test")
 
 
 def test_a_run_of_a_deployment_refuses_with_the_sentence_of_a_file(forms):
@@ -121,7 +121,7 @@ def test_a_form_has_the_data_first_and_sends_no_default(forms, command):
 @pytest.mark.whole
 def test_ingest_starts_supervise_and_that_retrain(tmp_path):
     """By the commands of the guide: a server, a copy of prefect.yaml, and a worker."""
-    clip = re10k.clip_of(datasets.load("procedural", seed=0, views=6, height=90, width=160))
+    clip = re10k.encode_clip(datasets.load("procedural", seed=0, views=6, height=90, width=160))
     re10k.write(tmp_path / "chunks", [clip])
     (tmp_path / "nothing").mkdir()
     content = yaml.safe_load((ROOT / "prefect.yaml").read_text())

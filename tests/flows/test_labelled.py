@@ -189,7 +189,7 @@ class TestScored:
 
     def test_published_clips_are_scored_where_they_are_there(self, tmp_path, room):
         data = tmp_path / "re10k"
-        clip = re10k.clip_of(room)
+        clip = re10k.encode_clip(room)
         re10k.write(data, [clip])
         file = tmp_path / "index.json"
         inside = {"context": [0, 8], "target": [2, 4, 8]}

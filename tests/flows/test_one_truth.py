@@ -47,7 +47,7 @@ def test_sentence_json_status_and_picture_agree(
     bold = pictures.draw_outline(view.rgb, hit.mask, pictures.PREDICTED_COLOUR)
     places = {
         "found": pictures.draw_point(bold, hit.point),
-        "not sure": pictures.draw_dashed(view.rgb, hit.mask, pictures.PREDICTED_COLOUR),
+        "not sure": pictures.draw_dashed_outline(view.rgb, hit.mask, pictures.PREDICTED_COLOUR),
     }.get(verdict, view.rgb)
     panels = [("", view.rgb), ("", view.rgb), (hit.summary, places)]
     width = view.rgb.shape[1] + 12

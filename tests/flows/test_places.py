@@ -28,7 +28,7 @@ def clip(seed: int, name: str = "", cut: float = 0, quality: int = 95, scale: fl
     """Return a room as a clip, cropped by a share of its sides, recompressed, resized, darkened."""
     size = {"height": 90, "width": 160}
     scene = datasets.load("procedural", seed=seed, objects=4, views=4, baseline=1.0, **size)
-    original = re10k.clip_of(scene)
+    original = re10k.encode_clip(scene)
     images, cameras = [], original.cameras.copy()
     for data in original.images:
         pixels = np.asarray(Image.open(io.BytesIO(data)))

@@ -85,7 +85,7 @@ def test_cameras_writes_the_estimated_cameras(photos, slg, refusal):
     status, printed, errors = slg("cameras", *PHOTOS, "-o", out)
     assert status == 0 and "cameras found: " in errors
     assert "60" in printed and "doubtful: few matches" in printed
-    result = unposed.find(unposed.named(PHOTOS))
+    result = unposed.find(unposed.name_files(PHOTOS))
     valid = cameras_in(photos / out)
     assert len(valid) == 2
     for mine, alternative in zip(result.cameras.values(), valid.values(), strict=True):

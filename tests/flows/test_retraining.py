@@ -9,7 +9,7 @@ from prefect.client.orchestration import get_client
 
 from flows import corpus
 from flows.config import RetrainSettings
-from flows.read_config import checked
+from flows.read_config import validate_settings
 from flows.retraining import ARTIFACT, HISTORY, LOCK, PAGE, STATUS, retrain
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import datasets
@@ -41,7 +41,7 @@ def clips():
     for seed in (0, 1, 3):  # of which samples can be made
         size = {"height": 90, "width": 160}
         room = datasets.load("procedural", seed=seed, objects=4, views=6, baseline=1.0, **size)
-        clip = re10k.clip_of(room)
+        clip = re10k.encode_clip(room)
         output[held_out(clip.key, SHARE)].append(clip)
     return [*output[False][:2], output[True][0]]
 
@@ -149,7 +149,9 @@ def test_retrain_records_nothing_after_an_interrupt(tmp_path, monkeypatch):
 
     monkeypatch.setattr(corpus, "supervise", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        retrain.fn(checked(RetrainSettings, {**values, "store": str(tmp_path)}, "retrain"))
+        retrain.fn(
+            validate_settings(RetrainSettings, {**values, "store": str(tmp_path)}, "retrain")
+        )
     assert not (tmp_path / "models" / "history.parquet").exists()
 
 

@@ -114,7 +114,7 @@ def test_a_command_says_what_a_field_says_of_the_same_photographs(
 def test_a_sample_of_a_chunk_is_refused_by_its_cameras_unless_they_are_trusted(
     command, tmp_path, slg
 ):
-    clip = re10k.clip_of(
+    clip = re10k.encode_clip(
         Scene("clip", {n: v.camera for n, v in make_views(1).items()}, make_views(1).get)
     )
     exchanged = clip.cameras[[4, 1, 2, 3, 0]]

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from flows import config as settings_module
-from flows.benchmark import scenes_of
+from flows.benchmark import find_scenes
 from flows.config import PRESETS, TABLES, CorpusSettings, Method, Settings, TrainSettings
-from flows.read_config import checked, make_settings, read_toml
+from flows.read_config import make_settings, read_toml, validate_settings
 from slgaussian.errors import InputError
 
 FOLDER = Path(settings_module.__file__).parent / "presets"
@@ -26,11 +26,11 @@ def select_method(values: dict) -> dict:
 def test_preset_paper_has_training_of_the_paper():
     """Implementation Details: 80,000 iterations, a batch of 1, mask identifiers as they are."""
     values = {"preset": "paper", "lessons": "corpus", "out": "out"}
-    chosen = checked(TrainSettings, values, "train")
+    chosen = validate_settings(TrainSettings, values, "train")
     assert (chosen.steps, chosen.batch, chosen.codes) == (80_000, 1, "grid")
-    assert checked(TrainSettings, {**values, "steps": 5}, "train").steps == 5
+    assert validate_settings(TrainSettings, {**values, "steps": 5}, "train").steps == 5
     with pytest.raises(InputError, match="found 'fast', expected 'paper'"):
-        checked(TrainSettings, {**values, "preset": "fast"}, "train")
+        validate_settings(TrainSettings, {**values, "preset": "fast"}, "train")
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -141,4 +141,4 @@ def test_invalid_configuration_is_refused_in_one_sentence(file, text, sentence):
 def test_scene_with_name_of_room_raises_input_error():
     scene = {"name": "room_3", "context": ["1", "2"]}
     with pytest.raises(InputError, match="two scenes are called 'room_3'"):
-        scenes_of(make_settings({"rooms": "3-3", "scenes": [scene]}, "test"))
+        find_scenes(make_settings({"rooms": "3-3", "scenes": [scene]}, "test"))

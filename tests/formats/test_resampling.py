@@ -49,7 +49,7 @@ def test_resized_mask_covers_more_than_half_of_its_pixels(size):
     cv2.fillPoly(drawn, [np.array([[10, 5], [80, 20], [30, 55]])], 1)
     drawn[30:40, 60:75] = 1
     full = make_view(opaque=drawn > 0)
-    view = full.resized(*size)
+    view = full.resize(*size)
     cover = box_sums(drawn.astype(float), edges(view, full, 1), edges(view, full, 0))
     clear = np.abs(cover - 0.5) > 1e-4
     assert np.array_equal(view.opaque[clear], cover[clear] > 0.5)
@@ -58,13 +58,13 @@ def test_resized_mask_covers_more_than_half_of_its_pixels(size):
     # drawings of another size too.
     finer = np.kron(drawn, np.ones((3, 3), np.uint8))
     for other in (drawn, finer):
-        assert np.array_equal(view.shown.mask(other, *size), view.opaque)
+        assert np.array_equal(view.visible_window.mask(other, *size), view.opaque)
 
 
 @pytest.mark.parametrize("size", [size for size in SIZES if size[0] * size[1] <= 60 * 90])
 def test_shrunk_photograph_is_an_average_by_area(size):
     full = make_view()
-    view = full.resized(*size)
+    view = full.resize(*size)
     means = box_sums(full.image.astype(float), edges(view, full, 1), edges(view, full, 0))
     assert np.abs(view.image - means).max() <= 0.5 + 1e-3
 
@@ -73,7 +73,7 @@ def test_shrunk_photograph_is_an_average_by_area(size):
 def test_resized_ids_equal_those_at_pixel_centres(size):
     ids = np.random.default_rng(1).integers(0, 9, (60, 90)).astype(np.int32)
     full = make_view(instances=ids)
-    view = full.resized(*size)
+    view = full.resize(*size)
     y, x = ((e[1:] + e[:-1]) / 2 for e in (edges(view, full, 1), edges(view, full, 0)))
     clear_y, clear_x = (np.abs(v - np.rint(v)) > 1e-6 for v in (y, x))  # on no border of two
     expected = ids[np.ix_(y[clear_y].astype(int), x[clear_x].astype(int))]
@@ -91,7 +91,7 @@ def plane(camera: Camera, normal, least=0.03) -> np.ndarray:
 def test_resized_depth_of_a_plane_is_exact(size, normal):
     full = make_view()
     depth = plane(full.camera, normal).astype(np.float32)
-    view = View("a", full.camera, full.image, depth).resized(*size)
+    view = View("a", full.camera, full.image, depth).resize(*size)
     truth = plane(view.camera, normal)
     is_known = (view.depth > 0) & (truth > 0)
     assert is_known.mean() > 0.95 * (truth > 0).mean()
@@ -106,12 +106,12 @@ def test_resized_depth_never_mixes_two_surfaces(size):
     left = np.arange(90) < 37
     depth = np.where(left & (floor > 0), floor, wall).astype(np.float32)
     depth[20:25, 50:60] = 0
-    view = View("a", full.camera, full.image, depth).resized(*size)
+    view = View("a", full.camera, full.image, depth).resize(*size)
     surfaces = [plane(view.camera, n, 1e-3) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1))]
     is_known = view.depth > 0
     off = np.min([np.abs(view.depth / np.where(s > 0, s, 99) - 1) for s in surfaces], 0)
     assert off[is_known].max() < 1e-5
-    assert np.array_equal(is_known, view.shown.ids(depth > 0, *size))
+    assert np.array_equal(is_known, view.visible_window.ids(depth > 0, *size))
 
 
 def test_undistort_keeps_depth_of_the_surface():

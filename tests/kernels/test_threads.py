@@ -25,7 +25,7 @@ def test_linear_is_equal_for_any_alignment_of_weights(rows, side):
     state = torch.Generator().manual_seed(rows)
     x = torch.randn(rows, side, generator=state)
     weights, bias = torch.randn(side, side, generator=state), torch.randn(side, generator=state)
-    with threads.fixed(1):
+    with threads.limit_threads(1):
         result = [
             F.linear(x, place_at_offset(weights, i), place_at_offset(bias, i))
             for i in (0, 1, 2, 4, 7)
@@ -85,7 +85,7 @@ def test_fixed_threads_are_of_the_calling_thread_alone():
     worker = threading.Thread(target=second)
     worker.start()
     ready.wait()
-    with threads.fixed(3):
+    with threads.limit_threads(3):
         inside.set()
         done.wait()
         assert torch.get_num_threads() == 3

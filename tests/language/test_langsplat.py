@@ -40,7 +40,7 @@ def objects_image(seed: int, shape: tuple[int, int]) -> np.ndarray:
 def test_smooth_equals_scipy_uniform_filter(seed, height, width, side):
     """SciPy's filter keeps running sums, with an error of about 1e-15 for each pixel."""
     relevancy = np.random.default_rng(seed).random((height, width))
-    got = langsplat.smoothed(relevancy, side)
+    got = langsplat.smooth(relevancy, side)
     assert got.shape == relevancy.shape
     np.testing.assert_allclose(got, filter_plainly(relevancy, side), atol=2**-30)
 
@@ -74,7 +74,7 @@ def test_smooth_gives_equal_windows_equal_values():
     patch = rng.random((40, 40))
     for left in (30, 171, 313):
         relevancy[40:80, left : left + 40] = patch
-    smooth = langsplat.smoothed(relevancy)
+    smooth = langsplat.smooth(relevancy)
     np.testing.assert_array_equal(smooth[40:80, 30:70], smooth[40:80, 171:211])
     np.testing.assert_array_equal(smooth[40:80, 30:70], smooth[40:80, 313:353])
     assert langsplat.find_point(relevancy)[1].sum() % 3 == 0

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from slgaussian.masks import Proposals
-from slgaussian.masks.flatten import flatten, without_crumbs
+from slgaussian.masks.flatten import flatten, remove_crumbs
 
 
 def rectangles(*boxes, scores=None, size=(8, 10)):
@@ -44,11 +44,11 @@ def test_crumbs_and_small_holes_take_label_of_nearest_piece():
     labels[10, 100] = 0
     labels[60:62, 30] = 4  # two pixels: a piece
     labels[80, 120] = 1  # also of a label that has a large piece elsewhere
-    clean = without_crumbs(labels)
+    clean = remove_crumbs(labels)
     assert clean[50, 20] == 1 and clean[10, 100] == 2 and (clean[60:62, 30] == 4).all()
     assert clean[80, 120] == 2 and (clean != labels).sum() == 3
 
 
 def test_image_of_crumbs_alone_does_not_change():
     labels = np.arange(1, 90001, dtype=np.int32).reshape(300, 300)
-    np.testing.assert_array_equal(without_crumbs(labels), labels)
+    np.testing.assert_array_equal(remove_crumbs(labels), labels)

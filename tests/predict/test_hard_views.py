@@ -42,7 +42,7 @@ def one_thread() -> Iterator[None]:
 @cache
 def room(seed: int, square: bool) -> Sample:
     scene = twists.arc(seed, VIEWS, (120, 160))
-    return scene.resized(120, 120) if square else scene
+    return scene.resize(120, 120) if square else scene
 
 
 @cache

@@ -260,5 +260,5 @@ def test_what_cannot_be_read_is_said(tmp_path, steep):
 
 
 def test_views_that_were_cropped_from_their_photographs_get_their_part(tmp_path, steep):
-    smaller = replace(steep, context=tuple(view.resized(100, 160) for view in steep.context))
+    smaller = replace(steep, context=tuple(view.resize(100, 160) for view in steep.context))
     assert off(smaller, save(tmp_path, depth=true_depth(steep))) < 0.005

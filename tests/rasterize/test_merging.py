@@ -59,7 +59,7 @@ def test_merge_reduces_a_plain_wall_without_visible_change():
 
 def test_merge_keeps_uneven_gaussians_that_no_view_sees():
     rough, screen = wall(noise(20)), wall(depth=np.full((H, W), 1.0), opacity=1.0)
-    merged = merge(Gaussians.concatenated([rough, screen]), CAMERAS)
+    merged = merge(Gaussians.concatenate([rough, screen]), CAMERAS)
     assert len(merged.gaussians) == len(rough) + len(screen)
 
 
@@ -173,7 +173,7 @@ def test_merge_keeps_holes_and_further_gaussians():
     plain = wall()
     holes = (torch.arange(2 * H * W) % 7 != 3) | (torch.arange(2 * H * W) % W > 30)
     further = replace(plain[torch.arange(40)], means=plain.means[:40] + torch.tensor([0, 0, 1.5]))
-    inputs = Gaussians.concatenated([plain[holes], further])
+    inputs = Gaussians.concatenate([plain[holes], further])
     merged = merge(inputs, CAMERAS)
     assert len(merged.gaussians) < 0.75 * len(inputs)
     last = merged.gaussians[merged.into[-40:]]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.codes import checkerboard, grid_codes
-from slgaussian.semantic.decode import Decoder, NearestCode, decoder_of
+from slgaussian.semantic.decode import Decoder, NearestCode, make_decoder
 
 # Not imported: an error in the module must show here.
 AGREE, CLOSE, REACH, VISIBLE = 4, 0.25, 2, 0.5
@@ -142,7 +142,7 @@ def test_nearest_code_decodes_each_pixel_by_itself(seed):
 
 
 def test_decoder_depends_on_the_settings_of_codes():
-    assert isinstance(decoder_of(bank(), {"codes": "separated"}), Decoder)
-    assert isinstance(decoder_of(bank(), {"codes": "grid", "grid": {}}), Decoder)
+    assert isinstance(make_decoder(bank(), {"codes": "separated"}), Decoder)
+    assert isinstance(make_decoder(bank(), {"codes": "grid", "grid": {}}), Decoder)
     paper = {"codes": "grid", "grid": {"decode": "nearest"}}
-    assert isinstance(decoder_of(bank(), paper), NearestCode)
+    assert isinstance(make_decoder(bank(), paper), NearestCode)

@@ -11,7 +11,7 @@ from contents import failures, labels
 from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.datasets.purge import Traces, find_derived_files, search_store
-from slgaussian.datasets.shards import key_of
+from slgaussian.datasets.shards import make_key
 from slgaussian.storage.encoding import encode_artifact
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
@@ -27,7 +27,7 @@ TRACES = Traces(frozenset({"büro 1"}), frozenset({PHOTOGRAPH}))
         ("a.txt", "the büro 10", False),
         ("a.txt", "a-büro 1", False),
         ("a.json", '"b\\u00fcro 1"', True),
-        ("a.tar", f"{key_of('büro 1')}_0003_0012.jpg", True),
+        ("a.tar", f"{make_key('büro 1')}_0003_0012.jpg", True),
         ("a.csv", PHOTOGRAPH, True),
         ("a.jpg", "photograph", True),
         ("a.jpg", "another", False),
@@ -42,8 +42,8 @@ def test_is_in_file_searches_compressed_files():
     other = encode_artifact("failures", failures("büro 10"), "t")[1]
     assert TRACES.is_in_file("t.parquet", table) and not TRACES.is_in_file("t.parquet", other)
     room = datasets.load("procedural", seed=1, objects=1, views=2, height=24, width=32)
-    clip = re10k.clip_of(room)
-    chunk = re10k.encoded([clip])
+    clip = re10k.encode_clip(room)
+    chunk = re10k.encode_chunk([clip])
     same = hashlib.sha256(clip.images[1]).hexdigest()
     packed = encode_artifact("packed", {"torch": np.frombuffer(chunk, np.uint8)}, "p")[1]
     for traces, expected in (

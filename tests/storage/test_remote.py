@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.storage.remote import check_url, redacted
+from slgaussian.storage.remote import check_url, redact
 from slgaussian.storage.store import ArtifactStore
 
 SECRETS = [
@@ -33,5 +33,5 @@ def test_check_url_refuses_credentials_without_repeating_them(url):
     st.text("abcXYZ019", min_size=1),
 )
 def test_redact_masks_every_password(password, user):
-    masked = redacted(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
+    masked = redact(f"could not reach s3://{user}:{password}@bucket/x, nor gs://other/y")
     assert masked == "could not reach s3://***@bucket/x, nor gs://other/y"

@@ -13,9 +13,9 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Estimated
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import (
-    decoded,
-    pictures_of,
-    predictions_of,
+    decode_pictures,
+    decode_pngs,
+    decode_predictions,
     result_from_arrays,
     result_to_arrays,
     sample_from_arrays,
@@ -108,7 +108,7 @@ def test_targets_have_a_size_of_their_own(store):
 
 def test_targets_of_two_sizes_are_refused_in_words(sample):
     (target,) = sample.targets
-    second = replace(sample, targets=(target, replace(target.resized(16, 24), name="b")))
+    second = replace(sample, targets=(target, replace(target.resize(16, 24), name="b")))
     with pytest.raises(InputError, match="'b' is 24x16 and 'view_01' is 48x32; give a size"):
         sample_to_arrays(second)
 
@@ -139,12 +139,12 @@ def test_a_result_keeps_every_pixel(sample, store):
     arrays = through(store, "scene_result", result_to_arrays(result))
     back = result_from_arrays(arrays)
     assert (back.rows, back.scene_metrics) == (result.rows, result.scene_metrics)
-    masks = {key: mask.decode() for key, mask in predictions_of(arrays).items()}
+    masks = {key: mask.decode() for key, mask in decode_predictions(arrays).items()}
     assert list(masks) == list(result.predictions)
     for key, mask in result.predictions.items():
         assert masks[key].dtype == bool
         np.testing.assert_array_equal(masks[key], mask)
-    np.testing.assert_array_equal(decoded(pictures_of(arrays))["input/f"], image)
+    np.testing.assert_array_equal(decode_pngs(decode_pictures(arrays))["input/f"], image)
     nothing = SceneResult("a", [], {}, {}, {})
     empty = result_from_arrays(through(store, "scene_result", result_to_arrays(nothing)))
     assert vars(empty) == vars(nothing)

@@ -140,7 +140,7 @@ def test_changes_are_undone_and_saved_as_by_the_commands(
     x, y = field.render(field.cameras["a"]).query("green").point
     assert run(monkeypatch, "objects", "teach", by_commands, "zorp", "--at", x, y) == 0
     taught = SemanticField.load(by_commands)
-    taught.named(GREEN, "the zerp").without([YELLOW]).save_edits(by_commands)
+    taught.rename(GREEN, "the zerp").without([YELLOW]).save_edits(by_commands)
     for name in ("words.npz", "edits.npz"):
         assert (folder / name).read_bytes() == (by_commands / name).read_bytes()
 

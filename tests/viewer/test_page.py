@@ -195,7 +195,7 @@ def test_page_reads_texts_as_the_lexicon(page, field, text, expected):
 def test_page_answers_taught_words_and_names(browser, field, view, tmp_path):
     (cone, _), *_ = view.query("cone").objects
     (ball, _), *_ = view.query("ball").objects
-    taught = field.teach("Gizmo of mine", cone).named(ball, "Anna's ball")
+    taught = field.teach("Gizmo of mine", cone).rename(ball, "Anna's ball")
     (tmp_path / "a.html").write_text(scene_page(taught), "utf-8")
     with open_page(browser, tmp_path / "a.html") as tab:
         assert "(taught by example)" in ask(tab, "gizmo of MINE")
@@ -285,7 +285,7 @@ def test_page_makes_no_requests_and_logs_no_errors(page, file, field):
 
 def test_page_shows_names_as_text(browser, field, tmp_path):
     id_ = field.inventory()[0].id
-    named = field.named(id_, MARKUP.replace("\u2028", ""))
+    named = field.rename(id_, MARKUP.replace("\u2028", ""))
     (tmp_path / "a.html").write_text(
         scene_page(replace(named, settings={**named.settings, "scene": MARKUP})), "utf-8"
     )

@@ -158,7 +158,7 @@ class DenseResult:
         if not self.seen.any():
             return None
         side = langsplat.rescaled_filter(self.seen.shape[1])
-        smooth = np.where(self.seen, langsplat.smoothed(self._dense_relevancy, side), -1)
+        smooth = np.where(self.seen, langsplat.smooth(self._dense_relevancy, side), -1)
         return central_point(smooth == smooth.max())
 
     @cached_property

@@ -19,7 +19,7 @@ from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.scoring import TextReader
 from slgaussian.masks import MaskProposer
-from slgaussian.masks.flatten import flatten, without_crumbs
+from slgaussian.masks.flatten import flatten, remove_crumbs
 from slgaussian.masks.levels import group_objects
 from slgaussian.scene import Sample, opaque_pixels
 
@@ -70,7 +70,7 @@ class Inputs:
         """Label maps without association: no id occurs in two context views."""
         maps, count = [], 0
         for view in self.geometry.frames:
-            ids = without_crumbs(flatten(self.proposer.propose(view)))
+            ids = remove_crumbs(flatten(self.proposer.propose(view)))
             maps.append(np.where(ids > 0, ids + count, 0).astype(np.int32))
             count += int(ids.max(initial=0))
         labels, opaque = np.stack(maps), opaque_pixels(self.sample.context)

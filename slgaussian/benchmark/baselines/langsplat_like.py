@@ -27,7 +27,7 @@ from slgaussian.benchmark.baselines.dense import DenseView, draw_picture
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import seed_for
-from slgaussian.kernels.threads import LARGE_NETWORK_THREADS, fixed
+from slgaussian.kernels.threads import LARGE_NETWORK_THREADS, limit_threads
 from slgaussian.labels import MIN_WEIGHT
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
@@ -88,7 +88,7 @@ class _Codes:
         while size.prod() * self.inputs.bank.features.shape[2] > MAX_ELEMENTS * factor**2:
             factor *= 2
         carried = torch.from_numpy(self.carried[gaussians.source.numpy()])
-        small = camera.resized(*np.maximum(size // factor, 1).tolist())
+        small = camera.resize(*np.maximum(size // factor, 1).tolist())
         drawn = rasterize(gaussians, carried, small).values.float().numpy()
         codes, weight = drawn[..., :3], drawn[..., 3:]
         codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
@@ -108,12 +108,12 @@ class Autoencoder:
 
     def encode(self, vectors: np.ndarray) -> np.ndarray:
         """Return codes float32 [M, 3] of length 1 of unit vectors float32 [M, C]."""
-        with torch.inference_mode(), fixed(1):
+        with torch.inference_mode(), limit_threads(1):
             return F.normalize(self.down(torch.from_numpy(vectors)), dim=1).numpy()
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
         """Return unit vectors float32 [P, C] of codes float32 [P, 3] of any length."""
-        with torch.inference_mode(), fixed(LARGE_NETWORK_THREADS):
+        with torch.inference_mode(), limit_threads(LARGE_NETWORK_THREADS):
             blocks = torch.from_numpy(np.ascontiguousarray(codes)).split(DECODER_BATCH)
             return torch.cat([F.normalize(self.up(block), dim=1) for block in blocks]).numpy()
 
@@ -127,7 +127,7 @@ def train_autoencoder(vectors: np.ndarray, seed: int, steps: int = 1000) -> Auto
     if len(vectors) < 2:
         raise InputError(f"autoencoder: found {len(vectors)} vectors, expected at least 2")
     width = vectors.shape[1]
-    with torch.random.fork_rng(devices=[]), fixed(1):
+    with torch.random.fork_rng(devices=[]), limit_threads(1):
         torch.manual_seed(seed % 2**63)
         down = _layers(width, [n for n in ENCODER_WIDTHS if n <= width], 3, normalised=True)
         up = _layers(3, [n for n in DECODER_WIDTHS if n <= width], width, normalised=False)

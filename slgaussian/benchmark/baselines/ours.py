@@ -36,7 +36,7 @@ class NoAssociation:
         drawn = codes(labels, rng_for(inputs.seed, inputs.sample.content, "codes"))
         bank = replace(bank, codes=drawn)
         lift = load_lifting(used["lifting"], **inputs.settings.get(used["lifting"], {}))
-        return inputs.field.changed(
+        return inputs.field.with_changes(
             gaussians=lift(inputs.gaussians, labels, bank), bank=bank, settings=used
         )
 
@@ -47,7 +47,7 @@ class NoBank:
 
     def __call__(self, inputs: Inputs) -> SemanticField:
         """Return the field with a memory bank of one view."""
-        return inputs.field.changed(bank=pool_views(inputs.bank))
+        return inputs.field.with_changes(bank=pool_views(inputs.bank))
 
 
 def pool_views(bank: MemoryBank) -> MemoryBank:

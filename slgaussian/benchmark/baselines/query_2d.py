@@ -88,4 +88,6 @@ class PictureView:
         surroundings = [inputs.geometry.room.place(local, depth)] if with_depth else None
         bank = inputs.look_at([view], label_maps, surroundings, with_depth)
         confidence = (ids > 0).astype(np.float32)
-        return FieldView(self.rgb, ids, confidence, alpha, depth, inputs.field.changed(bank=bank))
+        return FieldView(
+            self.rgb, ids, confidence, alpha, depth, inputs.field.with_changes(bank=bank)
+        )

@@ -18,7 +18,7 @@ from slgaussian.benchmark.reports.score_tables import (
     difference_tables,
     fold_protocols,
     method_tables,
-    scores_of,
+    protocol_scores,
 )
 from slgaussian.benchmark.scores import Difference, Rows, differences, sample_key
 from slgaussian.errors import InputError
@@ -121,7 +121,7 @@ def compare_runs(runs: Sequence[Run]) -> tuple[model.Report, list[dict[str, Any]
 def _as_rows(compared: Sequence[Difference]) -> Iterator[dict[str, Any]]:
     ranking: dict[str, tuple[str, str]] = {}
     for d in compared:
-        first_score = d.protocol, scores_of(d.protocol)[0].metric
+        first_score = d.protocol, protocol_scores(d.protocol)[0].metric
         row: dict[str, Any] = {n: getattr(d, n) for n in ("dataset", "protocol", "metric")}
         row["decides"] = ranking.setdefault(d.dataset, first_score) == (d.protocol, d.metric)
         row["difference"] = d.gain.difference

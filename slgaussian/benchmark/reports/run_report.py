@@ -26,7 +26,7 @@ from slgaussian.benchmark.reports.score_tables import (
     mean_cells,
     method_tables,
     metrics_table,
-    scores_of,
+    protocol_scores,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
 from slgaussian.benchmark.scores import GOOD_IOU, Rows, group_rows, query_key, score_table
@@ -228,7 +228,7 @@ def _picture_sections(
 def _scores_section(rows: Rows, methods: Sequence[str]) -> model.Section:
     """Return the scores of all methods; tables of other protocols than the first are collapsed."""
     explanations: list[model.Block] = [
-        model.terms({s.title: s.help for s in scores_of(rows[0]["protocol"])})
+        model.terms({s.title: s.help for s in protocol_scores(rows[0]["protocol"])})
     ]
     if methods[1:]:
         note = "Methods are sorted by the first column; the best value of a column is bold. A "

@@ -68,7 +68,7 @@ METRICS = (
 """Metrics of a scene by its first protocol, and of its views; ↓: lower is better."""
 
 
-def scores_of(protocol: str) -> tuple[Score, ...]:
+def protocol_scores(protocol: str) -> tuple[Score, ...]:
     """Return the scores of a protocol, given as ``name`` or ``name@version``."""
     return SCORES[protocol.partition("@")[0]]
 
@@ -131,7 +131,7 @@ def method_tables(samples: Rows, ours: str = "") -> list[model.Table]:
 
 def _present(protocol: str, by_name: Mapping[str, Mapping[str, Any]]) -> list[Score]:
     """Return the scores of a protocol that any of several mappings by metric has."""
-    return [s for s in scores_of(protocol) if any(s.metric in of for of in by_name.values())]
+    return [s for s in protocol_scores(protocol) if any(s.metric in of for of in by_name.values())]
 
 
 def _gains(samples: Rows, ours: str) -> dict[tuple[str, ...], Difference]:

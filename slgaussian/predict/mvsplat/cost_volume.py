@@ -66,7 +66,7 @@ def _paths(
     At disparity ``q`` the homogeneous position of a pixel of ``reference`` is ``start + q offset``.
     """
     h, w = size
-    K_reference, K_target = reference.resized(w, h).K, target.resized(w, h).K
+    K_reference, K_target = reference.resize(w, h).K, target.resize(w, h).K
     motion = target.w2c @ reference.c2w
     v, u = np.mgrid[:h, :w].reshape(2, -1).astype(np.float64)
     pixels = np.stack([u, v, np.ones_like(u)])

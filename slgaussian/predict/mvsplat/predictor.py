@@ -146,7 +146,7 @@ def _crop(scene: str, view: View) -> View:
         )
     left, top = (camera.width - width) // 2, (camera.height - height) // 2
     image = view.image[top : top + height, left : left + width]
-    return View(view.name, camera.cropped(left, top, width, height), image)
+    return View(view.name, camera.crop(left, top, width, height), image)
 
 
 def _scale(camera: Camera, unit: float) -> Camera:

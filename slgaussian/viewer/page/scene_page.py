@@ -66,7 +66,7 @@ def scene_page(
             cannot use one of the texts.
     """
     if live:
-        field = field.changed(edits=replace(field.edits, removed=frozenset()))
+        field = field.with_changes(edits=replace(field.edits, removed=frozenset()))
     looks = {name: field.render(camera) for name, camera in field.cameras.items()}
     origin = field.gaussians.origin
     cameras = {name: camera.relative_to(origin) for name, camera in field.cameras.items()}
@@ -90,7 +90,7 @@ def scene_page(
         _view(name, camera, look.depth, pictures[name], "rendered" if name in drawn_views else "")
         for (name, camera), look in zip(cameras.items(), looks.values(), strict=True)
     ]
-    words = list_texts(field.changed(edits=Edits()) if live else field, ids, texts)
+    words = list_texts(field.with_changes(edits=Edits()) if live else field, ids, texts)
     queries, answers = words.pop("texts"), []
     if live:
         words |= {"spellings": {}, "skipped": []}

@@ -84,7 +84,7 @@ def test_dense_results_follow_the_rules(view, text):
     assert hit.score == pytest.approx(relevancy[view.seen].max())
     # The point is where relevancy is greatest around.
     filled = np.where(view.seen, relevancy, relevancy[view.seen].min())
-    smooth = langsplat.smoothed(filled, langsplat.rescaled_filter(SIZE[1]))
+    smooth = langsplat.smooth(filled, langsplat.rescaled_filter(SIZE[1]))
     assert smooth[hit.point[::-1]] == pytest.approx(smooth[view.seen].max(), abs=1e-9)
     (hit,) = view.query_all([text], threshold=0.6)
     assert np.array_equal(hit.mask, view.seen & (relevancy > 0.6))

@@ -156,7 +156,7 @@ def test_methods_accept_another_encoder(room, tmp_path_factory):
     from tests.language.small_clip import save_clip
 
     model = save_clip(tmp_path_factory.mktemp("methods") / "clip")
-    sample = room.sample.resized(64, 64)
+    sample = room.sample.resize(64, 64)
     labels = np.stack([view.instances for view in sample.context])
     label_maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     gaussians = load_predictor("planesweep")(sample)

@@ -42,7 +42,7 @@ def plain_correlation(features, cameras, disparities):
     size = torch.tensor([w - 1, h - 1])
     for i in range(views):
         for j in set(range(views)) - {i}:
-            K_i, K_j = (torch.from_numpy(cameras[n].resized(w, h).K) for n in (i, j))
+            K_i, K_j = (torch.from_numpy(cameras[n].resize(w, h).K) for n in (i, j))
             motion = torch.from_numpy(cameras[j].w2c @ cameras[i].c2w)
             for d, disparity in enumerate(disparities.double()):
                 points = pixels @ K_i.inverse().T / disparity @ motion[:3, :3].T + motion[:3, 3]
