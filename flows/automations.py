@@ -18,6 +18,8 @@ from prefect.client.orchestration import get_client
 from prefect.events.schemas.automations import AutomationCore
 from prefect.settings import PREFECT_API_URL
 
+from slgaussian.storage.remote import redact
+
 AUTOMATIONS = Path(__file__).with_name("automations.yaml")
 
 

@@ -130,6 +130,7 @@ def _check_server() -> str:
     import urllib.request
 
     from flows.runners.environment import orchestration
+    from slgaussian.storage.remote import redact
     from slgaussian.storage.store import ArtifactStore
 
     if url := os.environ.get("PREFECT_API_URL"):

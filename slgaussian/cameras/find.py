@@ -19,7 +19,7 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.matches import match
 from slgaussian.cameras.two_view import EXIF_FOCAL_STD, Described, PairPose, Photograph, confidence
 from slgaussian.copies import Thumbnail, are_copies
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, join_names
 from slgaussian.scene import Camera, Estimated
 
 Z_90 = 1.645

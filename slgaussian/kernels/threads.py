@@ -7,8 +7,8 @@ kernels.
 
 Floating-point sums depend on their order, which libraries choose by two properties unrelated to the
 data. The first is the number of threads: inside a network it is fixed (:func:`inside`,
-:func:`limit_threads`). The second is the memory alignment of arrays, which for weights depends on their
-file: ``MKL_CBWR=AUTO`` makes MKL, PyTorch's linear algebra, independent of it.
+:func:`limit_threads`). The second is the memory alignment of arrays, which for weights depends on
+their file: ``MKL_CBWR=AUTO`` makes MKL, PyTorch's linear algebra, independent of it.
 """
 
 from __future__ import annotations
