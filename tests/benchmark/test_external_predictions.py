@@ -207,7 +207,7 @@ def test_score_predictions_refuses_a_damaged_png(folder, result, scene, damage, 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is scene at 104x"),
+        ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is judged at 104x"),
         ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
         ({"counts": "0"}, "its counts add up to 0 pixels, expected 14976; write the mask again"),
         ({"point": [3]}, "point: found [3]; "),
