@@ -275,7 +275,7 @@ class SemanticField:
 
         from slgaussian.rasterize import harmonics, rasterize
 
-        colours, codes = harmonics.colors(gaussians, camera), gaussians.require_features()
+        colours, codes = harmonics.compute_colours(gaussians, camera), gaussians.require_features()
         drawn = torch.cat([colours, codes], 1)
         return Picture.of(rasterize(gaussians, drawn, camera, backend=backend))
 

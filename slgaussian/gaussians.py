@@ -180,7 +180,7 @@ class Gaussians:
                 entry = arrays[name][index].tolist()
                 raise InputError(f"gaussians {name}[{index}]: found {entry}, {expected}")
 
-    def colors(self) -> torch.Tensor:
+    def colours(self) -> torch.Tensor:
         """Compute view-independent RGB, float [N, 3], from the degree-0 part of ``sh``."""
         return self.sh[:, 0] * SH_C0 + 0.5
 

@@ -152,8 +152,8 @@ def test_lessons_and_views_of_far_samples_are_in_the_frame_of_the_gaussians() ->
     cameras = (far("utm").targets[0].camera,)
     lesson = Lesson("far", gaussians, labels, cameras, labels[:1])
     read = Lesson.from_arrays(lesson.to_arrays())
-    drawn = rasterize(read.gaussians, gaussians.colors(), read.cameras[0]).values
-    true = rasterize(gaussians, gaussians.colors(), cameras[0]).values
+    drawn = rasterize(read.gaussians, gaussians.colours(), read.cameras[0]).values
+    true = rasterize(gaussians, gaussians.colours(), cameras[0]).values
     assert (drawn - true).abs().max() < 1e-6
 
 

@@ -114,7 +114,7 @@ def of_pair(sample: Sample) -> dict[str, float]:
     """Compute scores of a pair by ``method_metric``, and depth errors if it has sensor depth."""
     target = sample.targets[0]
     gaussians = PlaneSweep()(sample)
-    render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
+    render = rasterize(gaussians, gaussians.colours(), target.camera, median=True)
     pictures = {
         "gaussians": draw(render),
         "warped": warp(sample, gaussians, render),

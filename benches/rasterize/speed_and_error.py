@@ -60,7 +60,7 @@ class Subject:
     def of(name: str, sample: Sample) -> Subject:
         """Predict Gaussians from two photographs; their values are colours and random codes."""
         gaussians = PlaneSweep()(sample)
-        values = torch.cat([gaussians.colors(), random_values(len(gaussians), 3)], 1)
+        values = torch.cat([gaussians.colours(), random_values(len(gaussians), 3)], 1)
         return Subject(name, gaussians, values, sample.targets[0].camera)
 
     def part(self, share: int) -> Subject:

@@ -76,7 +76,7 @@ def at_targets(sample: Sample, gaussians: Gaussians) -> Row:
     """Return mean PSNR, SSIM and, with true depth, depth error over the targets."""
     scores: dict[str, list[float]] = {}
     for target in sample.targets:
-        render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
+        render = rasterize(gaussians, gaussians.colours(), target.camera, median=True)
         drawn = np.rint(render.values.numpy().clip(0, 1) * 255).astype(np.uint8)
         scores.setdefault("psnr", []).append(psnr(drawn, target.image))
         scores.setdefault("ssim", []).append(ssim(drawn, target.image))

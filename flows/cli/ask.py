@@ -286,7 +286,7 @@ def _labels_picture(
     painted = pictures.spotlight(pictures.paint_labels(labels, view.rgb), labels > 0)
     panels = [(f"rendering, {name}", view.rgb), ("the text that fits", painted)]
     legend = [
-        (pictures.label_colors(np.array(row["label"])), f"{text}  {share}")
+        (pictures.label_colours(np.array(row["label"])), f"{text}  {share}")
         for row in rows
         for _, text, share, *_ in [_cells(row)]
     ]

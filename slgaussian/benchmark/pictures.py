@@ -26,7 +26,7 @@ CAPTION_COLOUR = (40, 44, 52)
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
-def label_colors(ids: np.ndarray) -> np.ndarray:
+def label_colours(ids: np.ndarray) -> np.ndarray:
     """Return the colour of each object id, uint8 [..., 3], determined by the id; 0 is nearly black.
 
     Successive ids are a golden angle apart in CIELAB hue and alternate in lightness and chroma, so
@@ -45,7 +45,7 @@ def label_colors(ids: np.ndarray) -> np.ndarray:
 def paint_labels(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Paint object ids int [H, W] over the grey photograph, with thin dark borders."""
     ids, index = np.unique(labels, return_inverse=True)
-    flat = label_colors(ids)[index.reshape(labels.shape)].astype(np.float64)
+    flat = label_colours(ids)[index.reshape(labels.shape)].astype(np.float64)
     shade = 0.55 + 0.55 * _grey(image) / 255
     painted = np.clip(flat * shade[..., None], 0, 255)
     edges = [np.diff(labels, axis=axis, prepend=labels.take([0], axis)) for axis in (0, 1)]
@@ -105,7 +105,7 @@ def _paint_upper_half(share: np.ndarray, ground: np.ndarray | float) -> np.ndarr
     return np.clip(painted, 0, 255).astype(np.uint8)
 
 
-def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) -> np.ndarray:
+def _with_scale(image: np.ndarray, low: float, high: float, colours: np.ndarray) -> np.ndarray:
     """Return a copy with a labelled colour bar uint8 [1, 256, 3] at the bottom left."""
     height, width = image.shape[:2]
     size = max(9, round(width / 24))
@@ -120,7 +120,7 @@ def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) 
     draw = ImageDraw.Draw(sheet)
     top = height - box[1]
     draw.rectangle((0, top, box[0], height), fill=(20, 22, 28))
-    bar = cv2.resize(colors, (bar_width, max(1, size // 2)), interpolation=cv2.INTER_NEAREST)
+    bar = cv2.resize(colours, (bar_width, max(1, size // 2)), interpolation=cv2.INTER_NEAREST)
     sheet.paste(Image.fromarray(bar), (2 * pad + first, top + (box[1] - len(bar)) // 2))
     for left, text in zip((pad, 3 * pad + first + bar_width), texts, strict=True):
         middle = top + box[1] / 2
@@ -158,8 +158,8 @@ def draw_captions(image: np.ndarray, regions: Sequence[Region], size: int) -> np
         x = min(max(float(column), box_width / 2), max(width - box_width / 2, box_width / 2))
         y = min(max(float(row), box_height / 2), max(height - box_height / 2, box_height / 2))
         box = x - box_width / 2, y - box_height / 2, x + box_width / 2, y + box_height / 2
-        color = _region_color(region)
-        draw.rounded_rectangle(box, box_height / 4, fill=(20, 22, 28), outline=color, width=2)
+        colour = _region_colour(region)
+        draw.rounded_rectangle(box, box_height / 4, fill=(20, 22, 28), outline=colour, width=2)
         draw.text((x, y), region.caption, fill=(255, 255, 255), font=font, anchor="mm")
         # Captions of other regions must not overlap: block the centres of such boxes.
         left, top = max(0, round(x - box_width)), max(0, round(y - 1.7 * box_height))
@@ -167,8 +167,8 @@ def draw_captions(image: np.ndarray, regions: Sequence[Region], size: int) -> np
     return np.asarray(sheet)
 
 
-def _region_color(region: Region) -> tuple[int, int, int]:
-    red, green, blue = label_colors(np.array(region.id)).tolist()
+def _region_colour(region: Region) -> tuple[int, int, int]:
+    red, green, blue = label_colours(np.array(region.id)).tolist()
     return red, green, blue
 
 
@@ -177,9 +177,9 @@ def draw_regions(image: np.ndarray, regions: Sequence[Region], size: int) -> np.
     nothing = np.zeros(image.shape[:2], bool)
     out = spotlight(image, np.any([nothing, *(region.mask for region in regions)], axis=0))
     for region in sorted(regions, key=lambda region: -int(region.mask.sum())):
-        color = _region_color(region)
-        out[region.mask] = (0.78 * image[region.mask] + 0.22 * np.array(color)).astype(np.uint8)
-        out = draw_outline(out, region.mask, color)
+        colour = _region_colour(region)
+        out[region.mask] = (0.78 * image[region.mask] + 0.22 * np.array(colour)).astype(np.uint8)
+        out = draw_outline(out, region.mask, colour)
     return draw_captions(out, regions, size)
 
 
@@ -196,24 +196,24 @@ def spotlight(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.where(mask[..., None], image, dim).astype(np.uint8)
 
 
-def draw_outline(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
+def draw_outline(image: np.ndarray, mask: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:
     """Return a copy with the outline of ``mask`` and a dark rim, visible on any background."""
     out = image.copy()
     contours, width = _contours(mask), max(2, round(image.shape[1] / 290))
     cv2.drawContours(out, contours, -1, (0, 0, 0), width + 1, cv2.LINE_AA)
-    cv2.drawContours(out, contours, -1, color, width, cv2.LINE_AA)
+    cv2.drawContours(out, contours, -1, colour, width, cv2.LINE_AA)
     return out
 
 
 def draw_dashed_outline(
-    image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]
+    image: np.ndarray, mask: np.ndarray, colour: tuple[int, int, int]
 ) -> np.ndarray:
-    """Return a copy with a dashed outline of an uncertain ``mask`` in ``color`` and black."""
+    """Return a copy with a dashed outline of an uncertain ``mask`` in ``colour`` and black."""
     out = image.copy()
     dash = max(4, round(image.shape[1] / 80))
     for contour in _contours(mask):
         on = np.arange(len(contour)) // dash % 2 == 0
-        for chosen, paint in ((on, color), (~on, (0, 0, 0))):
+        for chosen, paint in ((on, colour), (~on, (0, 0, 0))):
             column, row = contour[chosen, 0].T
             out[row, column] = paint
     return out
@@ -230,8 +230,8 @@ def draw_point(image: np.ndarray, point: tuple[float, float] | None) -> np.ndarr
     out = image.copy()
     centre = (int(point[0]), int(point[1]))
     radius = max(3, round(image.shape[1] / 90))
-    for rim, color in ((3, (0, 0, 0)), (2, (255, 255, 255)), (0, POINT_COLOUR)):
-        cv2.circle(out, centre, radius + rim, color, -1, cv2.LINE_AA)
+    for rim, colour in ((3, (0, 0, 0)), (2, (255, 255, 255)), (0, POINT_COLOUR)):
+        cv2.circle(out, centre, radius + rim, colour, -1, cv2.LINE_AA)
     return out
 
 

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 MIN_MATCHED_SHARE = 0.3
 """Smallest fraction of matched pixels at which matches determine the label of a leaf."""
-MIN_COLOR_SHARE = 0.6
+MIN_COLOUR_SHARE = 0.6
 """Smallest fraction of a leaf in the colours of an object at which the object grows over it."""
 MIN_BIN_SHARE = 0.01
 """Smallest fraction of an object's pixels in a colour bin at which the object has that colour."""
-COLOR_BINS = (10, 10, 10)
+COLOUR_BINS = (10, 10, 10)
 MAX_FRAMES = 6
 """Largest number of remembered frames, those with the greatest overlap, that a view is matched
 with."""
@@ -59,18 +59,18 @@ class GeometricTracker:
 
     def __init__(self) -> None:
         self._frames: list[LabelledFrame] = []
-        self._color_counts = np.zeros((1, int(np.prod(COLOR_BINS))))
+        self._colour_counts = np.zeros((1, int(np.prod(COLOUR_BINS))))
 
     def add(self, frame: SeenView, labels: np.ndarray) -> None:
         """Remember a frame with depth; see :class:`slgaussian.masks.MaskTracker`."""
         labelled = LabelledFrame(frame, labels.copy())
         self._frames.append(labelled)
-        new_ids = int(labels.max()) + 1 - len(self._color_counts)
-        self._color_counts = np.pad(self._color_counts, ((0, max(new_ids, 0)), (0, 0)))
-        bins = self._color_counts.shape[1]
-        keys = labels.astype(np.int64) * bins + _color_bins(labelled.lab)
-        counts = np.bincount(keys.ravel(), minlength=self._color_counts.size)
-        self._color_counts += counts.reshape(-1, bins)
+        new_ids = int(labels.max()) + 1 - len(self._colour_counts)
+        self._colour_counts = np.pad(self._colour_counts, ((0, max(new_ids, 0)), (0, 0)))
+        bins = self._colour_counts.shape[1]
+        keys = labels.astype(np.int64) * bins + _colour_bins(labelled.lab)
+        counts = np.bincount(keys.ravel(), minlength=self._colour_counts.size)
+        self._colour_counts += counts.reshape(-1, bins)
 
     def propagate(self, frame: SeenView) -> np.ndarray:
         """Return labels int32 [H, W] of a view; see :class:`slgaussian.masks.MaskTracker`."""
@@ -115,19 +115,21 @@ class GeometricTracker:
         """Grow objects, in place, over unlabelled neighbouring leaves with their colours."""
         from slgaussian.masks.merge import adjacency
 
-        counts, bins = self._color_counts, self._color_counts.shape[1]
+        counts, bins = self._colour_counts, self._colour_counts.shape[1]
         object_bins = counts >= MIN_BIN_SHARE * counts.sum(1, keepdims=True).clip(1)
-        keys = leaves.astype(np.int64) * bins + _color_bins(lab)
-        leaf_colors = np.bincount(keys.ravel(), minlength=len(of_leaf) * bins)
-        leaf_colors = leaf_colors.reshape(len(of_leaf), bins)
+        keys = leaves.astype(np.int64) * bins + _colour_bins(lab)
+        leaf_colours = np.bincount(keys.ravel(), minlength=len(of_leaf) * bins)
+        leaf_colours = leaf_colours.reshape(len(of_leaf), bins)
         edges, borders = adjacency(leaves, np.zeros(leaves.shape, np.float32))
         edges = np.concatenate([edges, edges[:, ::-1]])
         length = np.tile(borders[:, 0], 2)
         while True:
             front = (of_leaf[edges[:, 0]] == 0) & (of_leaf[edges[:, 1]] > 0)
             leaf, label = edges[front, 0], of_leaf[edges[front, 1]]
-            similarity = (leaf_colors[leaf] * object_bins[label]).sum(1) / leaf_colors[leaf].sum(1)
-            wins = similarity >= MIN_COLOR_SHARE
+            similarity = (leaf_colours[leaf] * object_bins[label]).sum(1) / leaf_colours[leaf].sum(
+                1
+            )
+            wins = similarity >= MIN_COLOUR_SHARE
             if not wins.any():
                 return
             border = np.zeros((len(of_leaf), id_count))
@@ -146,9 +148,9 @@ def _gradient(lab: np.ndarray) -> np.ndarray:
     return np.sqrt(squares[..., 0] + squares[..., 1] + squares[..., 2])
 
 
-def _color_bins(lab: np.ndarray) -> np.ndarray:
-    """Return the joint CIELAB bin of every pixel, int64 [H, W], below ``prod(COLOR_BINS)``."""
-    chroma = np.sign(lab[..., 1:]) * np.sqrt(np.abs(lab[..., 1:])) + COLOR_BINS[1] / 2
+def _colour_bins(lab: np.ndarray) -> np.ndarray:
+    """Return the joint CIELAB bin of every pixel, int64 [H, W], below ``prod(COLOUR_BINS)``."""
+    chroma = np.sign(lab[..., 1:]) * np.sqrt(np.abs(lab[..., 1:])) + COLOUR_BINS[1] / 2
     steps = (lab[..., 0] / 10, chroma[..., 0], chroma[..., 1])
-    bins = [np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(steps, COLOR_BINS, strict=True)]
-    return np.ravel_multi_index(bins, COLOR_BINS)
+    bins = [np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(steps, COLOUR_BINS, strict=True)]
+    return np.ravel_multi_index(bins, COLOUR_BINS)

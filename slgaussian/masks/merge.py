@@ -15,7 +15,7 @@ from scipy.ndimage import find_objects
 from slgaussian.geometry.boundaries import TEXTURE_CODES, texture_codes
 from slgaussian.kernels.jit import kernel
 
-COLOR_STEP = 30.0
+COLOUR_STEP = 30.0
 """Distance of mean CIELAB colours at which the colour term saturates."""
 PLANE_STEP = 0.05
 """Relative error of inverse depth under a joint plane at which the plane term saturates."""
@@ -26,14 +26,14 @@ class Cues:
     """Weights of the merging cost; the mean strength of the border has weight 1.
 
     Attributes:
-        color, texture, plane, fill: Weights of the distance of mean colours, of the chi-squared
+        colour, texture, plane, fill: Weights of the distance of mean colours, of the chi-squared
             distance of texture histograms, of the misfit of a joint plane (0 where depth is
             unknown), and of the empty share of the joint bounding box.
         size_power: Power of the harmonic size of the two regions, a share of the image, that
             multiplies the cost. A high power grows regions evenly.
     """
 
-    color: float = 0.3
+    colour: float = 0.3
     texture: float = 0.2
     plane: float = 0.5
     fill: float = 0.0
@@ -137,10 +137,10 @@ def leaf_sums(
     inside = leaves >= 0
     index = leaves[inside]
     size = np.bincount(index, minlength=n)
-    color = [np.bincount(index, lab[inside, c], n) for c in range(3)]
+    colour = [np.bincount(index, lab[inside, c], n) for c in range(3)]
     codes = (texture_codes(lab[..., 0]) if texture is None else texture)[inside]
     histogram = np.bincount(index * TEXTURE_CODES + codes, minlength=n * TEXTURE_CODES)
-    means = np.column_stack([size, *color, histogram.reshape(n, TEXTURE_CODES)]) / leaves.size
+    means = np.column_stack([size, *colour, histogram.reshape(n, TEXTURE_CODES)]) / leaves.size
     views = np.column_stack([means[:, 0], plane_sums(leaves, depth, n)])
     boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (n, 1))
     for leaf, window in enumerate(find_objects(leaves + 1, n)):
@@ -167,7 +167,7 @@ def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
     parent, height = np.full(2 * n, -1, np.int32), np.zeros(2 * n)
     scratch = np.arange(n), np.full(n, -1, np.int64), np.empty(len(sums.edges))
     tables = sums.edges, sums.borders, sums.means, sums.views, sums.boxes
-    weights = np.array([cues.color, cues.texture, cues.plane, cues.fill])
+    weights = np.array([cues.colour, cues.texture, cues.plane, cues.fill])
     copies = [table.copy() for table in tables]
     count = _merge(parent, height, *scratch, *copies, weights, cues.size_power)
     return MergeTree(sums.leaves, parent[:count], height[:count])
@@ -251,13 +251,13 @@ def plane_gap(a, b):
 def _cost(a, b, border, means, views, boxes, weights, power):
     """Return the cost of merging regions a and b, whose common border has strength ``border``.
 
-    ``weights`` are those of color, texture, plane and fill.
+    ``weights`` are those of colour, texture, plane and fill.
     """
     size_a, size_b = means[a, 0], means[b, 0]
-    color_gap = texture_gap = 0.0
+    colour_gap = texture_gap = 0.0
     for c in range(1, 4):
         step = means[a, c] / size_a - means[b, c] / size_b
-        color_gap += step * step
+        colour_gap += step * step
     for k in range(4, means.shape[1]):
         p, q = means[a, k] / size_a, means[b, k] / size_b
         if p + q > 0:
@@ -273,7 +273,7 @@ def _cost(a, b, border, means, views, boxes, weights, power):
             high = max(boxes[a, v, 3], boxes[b, v, 3]) - min(boxes[a, v, 1], boxes[b, v, 1])
             empty += 1 - (share_a + share_b) / (wide * high)
             some += 1
-    cost = border + weights[0] * min(np.sqrt(color_gap) / COLOR_STEP, 1.0)
+    cost = border + weights[0] * min(np.sqrt(colour_gap) / COLOUR_STEP, 1.0)
     cost += weights[1] * texture_gap
     cost += weights[2] * misfit / max(both, 1)
     cost += weights[3] * empty / some

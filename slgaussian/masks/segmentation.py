@@ -19,7 +19,7 @@ PATTERN_CUT_HEIGHT = 0.12
 
 CUES = (
     Cues(),
-    Cues(color=0.0, texture=0.4, plane=0.25, fill=0.2, size_power=0.6),
+    Cues(colour=0.0, texture=0.4, plane=0.25, fill=0.2, size_power=0.6),
     Cues(plane=0.25, fill=0.5, size_power=0.1),
 )
 """Cues of three complementary trees: objects; even growth without colour, for objects of many

@@ -18,7 +18,7 @@ COARSE_STRIDE = 4
 AGREE_PIXELS = 4.0
 """Largest forward-backward reprojection error of corresponding pixels. With 2 and with 8, the
 geometric tracker matches fewer objects or pixels."""
-MAX_COLOR_DISTANCE = 25.0
+MAX_COLOUR_DISTANCE = 25.0
 """Largest CIELAB distance of corresponding pixels, after compensation of exposure."""
 
 
@@ -68,7 +68,7 @@ def match_points(
     gap = a.lab.reshape(-1, 3)[pixels[which]] - b.lab.reshape(-1, 3)[place]
     if len(which):
         gap -= np.median(gap, 0)  # compensates exposure and white balance
-    similar = np.linalg.norm(gap, axis=1) < MAX_COLOR_DISTANCE
+    similar = np.linalg.norm(gap, axis=1) < MAX_COLOUR_DISTANCE
     return which[similar], place[similar]
 
 

@@ -41,7 +41,7 @@ shines through the foreground; it fills regions that would be black."""
 
 def continue_surfaces(
     cameras: Sequence[Camera],
-    colors: Sequence[np.ndarray],
+    colours: Sequence[np.ndarray],
     inverse_depths: Sequence[np.ndarray],
     steps: Sequence[float],
 ) -> Gaussians:
@@ -49,7 +49,7 @@ def continue_surfaces(
 
     Args:
         cameras: V Camera of one size
-        colors: V of float32 [H, W, 3]. RGB in [0, 1].
+        colours: V of float32 [H, W, 3]. RGB in [0, 1].
         inverse_depths: V of float32 [H, W]
         steps: V of float. Distance between candidates.
 
@@ -60,8 +60,8 @@ def continue_surfaces(
     """
     parts = []
     for i, camera in enumerate(cameras):
-        beyond = _blocks_beyond_borders(colors[i], inverse_depths[i])
-        behind = _blocks_behind_edges(colors[i], inverse_depths[i], steps[i])
+        beyond = _blocks_beyond_borders(colours[i], inverse_depths[i])
+        behind = _blocks_behind_edges(colours[i], inverse_depths[i], steps[i])
         opacity = np.repeat([OPACITY_BEYOND, OPACITY_BEHIND], [len(beyond[0]), len(behind[0])])
         centre, pixel, rgb = (np.concatenate(p) for p in zip(beyond, behind, strict=True))
         column, row = pixel.T
@@ -85,7 +85,7 @@ def continue_surfaces(
     return Gaussians.concatenate(parts)
 
 
-def _blocks_beyond_borders(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
+def _blocks_beyond_borders(colour: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return blocks around the image: their centres (x, y), nearest pixels, and colours."""
     H, W = inverse_depth.shape
     blocks = int(np.ceil(MARGIN_SHARE * max(H, W) / BLOCK_SIDE))
@@ -96,11 +96,11 @@ def _blocks_beyond_borders(color: np.ndarray, inverse_depth: np.ndarray) -> tupl
     outside = (x < 0) | (x > W) | (y < 0) | (y > H)
     centre = np.stack([x, y], 1)[outside]
     pixel = np.floor(centre).astype(np.int64).clip(0, (W - 1, H - 1))
-    return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
+    return centre, pixel, colour[pixel[:, 1], pixel[:, 0]]
 
 
 def _blocks_behind_edges(
-    color: np.ndarray, inverse_depth: np.ndarray, step: float
+    colour: np.ndarray, inverse_depth: np.ndarray, step: float
 ) -> tuple[np.ndarray, ...]:
     """Return blocks behind depth edges likewise, each with a pixel of the farther surface."""
     H, W = (-(-size // BLOCK_SIDE) for size in inverse_depth.shape)
@@ -130,7 +130,7 @@ def _blocks_behind_edges(
     y, x = np.nonzero(chosen)
     centre = (np.stack([x, y], 1) + 0.5) * BLOCK_SIDE
     pixel = np.minimum(pixels[y, x], np.array(inverse_depth.shape)[::-1] - 1)
-    return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
+    return centre, pixel, colour[pixel[:, 1], pixel[:, 0]]
 
 
 def _is_unseen(points: np.ndarray, camera: Camera, inverse_depth: np.ndarray) -> np.ndarray:

@@ -18,11 +18,11 @@ from slgaussian.predict.view_graph import Link
 MAX_SPECKLE_SHARE = 1 / 1200
 """Connected answered patches of at most this share of the image are removed as false matches."""
 
-COLOR_TOLERANCE = 0.12
+COLOUR_TOLERANCE = 0.12
 """Largest difference of smoothed colours, over RGB in [0, 1], at which a point of another view is
 accepted as the surface that this view shows, and not as a surface occluded by it."""
 
-COLOR_FILTER_SIDE = 5
+COLOUR_FILTER_SIDE = 5
 """Side of the box filter of colours, pixels."""
 
 MIN_NEIGHBOURS = 5
@@ -73,7 +73,7 @@ def propagate_depth(
         images: V of float32 [H, W, 3]. RGB in [0, 1], with compensated exposure.
         links: V sequences of Link
     """
-    smooth = [cv2.blur(image, (COLOR_FILTER_SIDE, COLOR_FILTER_SIDE)) for image in images]
+    smooth = [cv2.blur(image, (COLOUR_FILTER_SIDE, COLOUR_FILTER_SIDE)) for image in images]
     result = []
     for i, view in enumerate(swept):
         landed = np.zeros(view.answered.shape, np.float32)
@@ -85,7 +85,7 @@ def propagate_depth(
             inside = (ratio > 1e-9) & (at >= 0).all(1) & (at < landed.shape[::-1]).all(1)
             column, row = at[inside].astype(np.int64).T
             difference = smooth[link.source][y[inside], x[inside]] - smooth[i][row, column]
-            similar = np.abs(difference).max(1) < np.float64(COLOR_TOLERANCE)
+            similar = np.abs(difference).max(1) < np.float64(COLOUR_TOLERANCE)
             lent = (w[inside] / ratio[inside]).astype(np.float32)
             np.maximum.at(landed, (row[similar], column[similar]), lent[similar])
         landed = np.where(landed >= view.steps[0], landed, 0)

@@ -29,7 +29,7 @@ ITERATIONS = 20
 """Iterations of reweighting; the last changes exposures by less than a thousandth."""
 
 
-def color_gains(
+def colour_gains(
     images: Sequence[np.ndarray],
     inverse_depths: Sequence[np.ndarray],
     answered: Sequence[np.ndarray],

@@ -32,7 +32,7 @@ from slgaussian.predict.depth_hypotheses import (
     visible_share,
 )
 from slgaussian.predict.depth_propagation import MAX_SPECKLE_SHARE, SweptView, propagate_depth
-from slgaussian.predict.exposure import color_gains
+from slgaussian.predict.exposure import colour_gains
 from slgaussian.predict.fusion import blend, select_pixels
 from slgaussian.predict.pose_refinement import anchor_cameras
 from slgaussian.predict.sgm import aggregate, select_winners
@@ -97,7 +97,7 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
     """
     views = sample.context
     raw_depths, answered = [s.inverse_depth for s in swept], [s.answered for s in swept]
-    gains = color_gains([view.image for view in views], raw_depths, answered, linked)
+    gains = colour_gains([view.image for view in views], raw_depths, answered, linked)
     exposed = [
         (view.image * np.float32(gain / 255)).clip(0, 1)
         for view, gain in zip(views, gains, strict=True)
@@ -106,13 +106,13 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
     depths = _complete_depths(sample, linked.links, swept)
     opacities = [_opacity(i, links, swept, depths) for i, links in enumerate(linked.links)]
     steps = [s.step for s in swept]
-    colors = blend(exposed, depths, steps, linked.links)
+    colours = blend(exposed, depths, steps, linked.links)
     given_cameras = [view.camera for view in views]
     cameras = anchor_cameras(given_cameras, linked.cameras, linked.closeness())
-    visible = unproject(cameras, colors, depths, opacities)
+    visible = unproject(cameras, colours, depths, opacities)
     confirmed = [s.confirmed for s in swept]
     drawn = np.ravel(select_pixels(linked, depths, confirmed, steps))
-    beyond = continue_surfaces(cameras, colors, depths, steps)
+    beyond = continue_surfaces(cameras, colours, depths, steps)
     visible, beyond = (
         part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (visible, beyond)
     )

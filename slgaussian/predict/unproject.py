@@ -30,7 +30,7 @@ inverse depth within it."""
 
 def unproject(
     cameras: Sequence[Camera],
-    colors: Sequence[np.ndarray],
+    colours: Sequence[np.ndarray],
     inverse_depths: Sequence[np.ndarray],
     opacities: Sequence[np.ndarray],
 ) -> Gaussians:
@@ -38,7 +38,7 @@ def unproject(
 
     Args:
         cameras: V Camera of one size
-        colors: V of float32 [H, W, 3]. RGB in [0, 1].
+        colours: V of float32 [H, W, 3]. RGB in [0, 1].
         inverse_depths: V of float32 [H, W]. 1 / z, positive and finite.
         opacities: V of float32 [H, W]
 
@@ -47,7 +47,7 @@ def unproject(
     """
     parts = [_make_discs(*view) for view in zip(cameras, inverse_depths, strict=True)]
     means, scales, quats = (np.concatenate(p) for p in zip(*parts, strict=True))
-    rgb = np.concatenate([c.reshape(-1, 3) for c in colors])
+    rgb = np.concatenate([c.reshape(-1, 3) for c in colours])
     return Gaussians.from_arrays(
         {
             "means": means,

@@ -89,9 +89,9 @@ def rasterize(
     """
     settings = find_settings(settings, gaussians.reach(camera))
     if values is None:
-        from slgaussian.rasterize.harmonics import colors
+        from slgaussian.rasterize.harmonics import compute_colours
 
-        values = colors(gaussians, camera)
+        values = compute_colours(gaussians, camera)
     if values.ndim != 2 or values.shape[0] != len(gaussians):
         raise InputError(
             f"rasterize values: found shape {tuple(values.shape)}, expected ({len(gaussians)}, C)"

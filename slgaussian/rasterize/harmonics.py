@@ -84,7 +84,7 @@ def rotation_matrix(R: np.ndarray) -> np.ndarray:
     return D
 
 
-def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
+def compute_colours(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
     """Compute the RGB of every Gaussian from ``camera``, differentiable in ``sh`` and ``means``.
 
     Args:
@@ -106,7 +106,7 @@ def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
             f"{', '.join(map(str, COUNTS))}"
         )
     if count == 1:
-        return gaussians.colors().clamp(min=0)
+        return gaussians.colours().clamp(min=0)
     directions = _directions(gaussians.means, gaussians.localize(camera)).to(gaussians.sh.dtype)
     harmonics = evaluate_sh(directions, math.isqrt(count) - 1)
     return (torch.einsum("kn,nkc->nc", harmonics, gaussians.sh) + 0.5).clamp(min=0)

@@ -56,14 +56,14 @@ def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture
 
 
 def compute_view_colours(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """Compute :func:`slgaussian.rasterize.harmonics.colors` bit-exactly, float32 [N, 3]."""
+    """Compute the result of :func:`slgaussian.rasterize.harmonics.compute_colours`, bit-exactly."""
     sh = gaussians.to_arrays()["sh"]
     if sh.shape[1] == 1 and sh.dtype == np.float32:
         plain: np.ndarray = np.maximum(sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0)
         return plain
-    from slgaussian.rasterize.harmonics import colors  # other degrees need torch
+    from slgaussian.rasterize.harmonics import compute_colours  # other degrees need torch
 
-    rgb: np.ndarray = colors(gaussians, camera).detach().cpu().numpy()
+    rgb: np.ndarray = compute_colours(gaussians, camera).detach().cpu().numpy()
     return rgb
 
 

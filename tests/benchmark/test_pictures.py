@@ -16,7 +16,7 @@ def photo() -> np.ndarray:
 
 
 def test_label_colors_differ_between_objects():
-    lab = rgb2lab(pictures.label_colors(np.arange(1, 25))[None] / 255)[0]
+    lab = rgb2lab(pictures.label_colours(np.arange(1, 25))[None] / 255)[0]
     distances = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
     # A CIELAB difference of about 2.3 is just noticed; these are six times that apart.
     assert distances[~np.eye(len(lab), dtype=bool)].min() > 14

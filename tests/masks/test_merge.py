@@ -16,7 +16,7 @@ from slgaussian.masks.merge import (
 )
 
 # Written out, not imported: a slip in the module must show here.
-COLOR_STEP, PLANE_STEP = 30.0, 0.05
+COLOUR_STEP, PLANE_STEP = 30.0, 0.05
 
 
 def drawn_tree(draw):
@@ -100,7 +100,7 @@ def plain_cost(a, b, sums, cues):
             empty.append(1 - sum(visible) / extent.prod())
     terms = [
         (1.0, np.divide(*sums.borders[between].sum(0)[::-1])),
-        (cues.color, min(np.linalg.norm(color[0] - color[1]) / COLOR_STEP, 1)),
+        (cues.color, min(np.linalg.norm(color[0] - color[1]) / COLOUR_STEP, 1)),
         (cues.texture, ((p - q)[used] ** 2 / (p + q)[used]).sum()),
         (cues.plane, np.mean(misfits) if misfits else 0),
         (cues.fill, np.mean(empty)),

@@ -69,7 +69,7 @@ def test_a_view_goes_on_beyond_its_border():
     assert (pixels.min(0) < -reach + BLOCK).all()
     assert (pixels.max(0) > np.array([W, H]) + reach - BLOCK).all()
     row, column = np.divmod(splats.source.numpy(), W)
-    assert np.allclose(splats.colors().numpy(), colors[0][row, column], atol=1e-6)
+    assert np.allclose(splats.colours().numpy(), colors[0][row, column], atol=1e-6)
     # The pixel nearest to each.
     nearest = np.floor(pixels + 1e-3).clip(0, (W - 1, H - 1))
     assert np.array_equal(np.stack([column, row], 1), nearest)

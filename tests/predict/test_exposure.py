@@ -3,7 +3,7 @@
 import numpy as np
 from textured_planes import camera, make_links, sample
 
-from slgaussian.predict.exposure import color_gains
+from slgaussian.predict.exposure import colour_gains
 from slgaussian.predict.view_graph import ViewGraph
 
 CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
@@ -22,7 +22,7 @@ def estimate_gains(cameras, bright):
         for view, b in zip(views, bright, strict=True)
     ]
     answered = [np.ones(view.depth.shape, bool) for view in views]
-    return color_gains(images, [1 / view.depth for view in views], answered, make_graph(*cameras))
+    return colour_gains(images, [1 / view.depth for view in views], answered, make_graph(*cameras))
 
 
 def test_along_a_walk_each_view_gets_the_exposure_of_its_neighbourhood():
@@ -48,5 +48,5 @@ def test_without_shared_pixels_the_gains_are_one():
     nothing = [np.zeros(view.depth.shape, bool) for view in views]
     inverse_depths = [1 / view.depth for view in views]
     images = [view.image for view in views]
-    gains = color_gains(images, inverse_depths, nothing, make_graph(*CAMERAS))
+    gains = colour_gains(images, inverse_depths, nothing, make_graph(*CAMERAS))
     assert np.array_equal(gains, np.ones((2, 3)))

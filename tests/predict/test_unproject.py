@@ -49,7 +49,7 @@ def test_one_gaussian_a_pixel_at_the_given_depth(lift):
     gaussians.check()
     depths = source_depths(gaussians, CAMERAS)
     assert np.allclose(depths, [view.depth for view in views], rtol=1e-5)
-    colors = gaussians.colors().reshape(2, 120, 160, 3).numpy() * 255
+    colors = gaussians.colours().reshape(2, 120, 160, 3).numpy() * 255
     assert np.allclose(colors, [view.image for view in views], atol=1e-3)
 
 

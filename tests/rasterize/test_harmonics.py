@@ -101,7 +101,7 @@ def test_colors_of_a_mean_at_the_camera_are_plain_with_finite_gradients():
     splats.means.requires_grad_()
     splats.sh.requires_grad_()
     view = colors(splats, camera((0.5, 0.25, 2.0)))
-    assert torch.equal(view[1], splats.colors()[1])
+    assert torch.equal(view[1], splats.colours()[1])
     view.sum().backward()
     assert splats.means.grad.isfinite().all()
     assert splats.sh.grad.isfinite().all()

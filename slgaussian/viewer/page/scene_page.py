@@ -24,7 +24,7 @@ import jinja2
 import numpy as np
 
 from slgaussian import __version__
-from slgaussian.benchmark.pictures import depth_range, encode_jpeg, label_colors
+from slgaussian.benchmark.pictures import depth_range, encode_jpeg, label_colours
 from slgaussian.cameras.quality import Quality, camera_doubt
 from slgaussian.edits import Edits
 from slgaussian.errors import InputError
@@ -171,7 +171,7 @@ def _thing(
         "name": thing.name or "",
         "words": [[text, round(score, 4)] for text, score in thing.words],
         "confidence": round(thing.confidence, 4),
-        "colour": label_colors(np.array(thing.id)).tolist(),
+        "colour": label_colours(np.array(thing.id)).tolist(),
         "gaussians": thing.gaussians,
         "views": [views.index(view) for view in thing.views],
         "guessed": round(guessed, 4),

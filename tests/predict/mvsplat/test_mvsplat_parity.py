@@ -142,4 +142,4 @@ def test_lifted_gaussians_have_these_colours():
     predicted = raw.double().numpy().reshape(64, 57)[:, 9:].reshape(64, 3, 16)
     published = np.maximum(0, 0.5 + np.einsum("nk,nck->nc", Y, predicted))
     # Measured 2e-7.
-    np.testing.assert_allclose(harmonics.colors(gaussians, window), published, atol=1e-6)
+    np.testing.assert_allclose(harmonics.compute_colours(gaussians, window), published, atol=1e-6)
