@@ -56,7 +56,7 @@ def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture
 
 
 def compute_view_colours(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """Compute the result of :func:`slgaussian.rasterize.harmonics.compute_colours`, bit-exactly."""
+    """Compute :func:`~slgaussian.rasterize.harmonics.compute_colours` in NumPy: float32 [N, 3]."""
     sh = gaussians.to_arrays()["sh"]
     if sh.shape[1] == 1 and sh.dtype == np.float32:
         plain: np.ndarray = np.maximum(sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0)
