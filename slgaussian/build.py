@@ -61,7 +61,7 @@ def build_field(
     sample: Sample,
     method: Method | None = None,
     trust_cameras: bool = False,
-    took: Callable[[str, float], None] = lambda step, seconds: None,
+    on_step: Callable[[str, float], None] = lambda step, seconds: None,
 ) -> SemanticField:
     """Build a queryable semantic field from the context views of a sample (paper, figure 2).
 
@@ -72,7 +72,7 @@ def build_field(
         sample: Its targets and ground truth are not used.
         method: Components and their settings; the default, ``Method()``, needs no weights.
         trust_cameras: If true, accept cameras that the matches between the photographs contradict.
-        took: Called with the name and seconds of each finished step.
+        on_step: Called with the name and seconds of each finished step.
 
     Returns:
         SemanticField: Its ``settings`` are :meth:`slgaussian.components.method.Method.identity`
@@ -89,12 +89,12 @@ def build_field(
     check_type(method, Method, "build_field: expected a Method, such as slg.Method(encoder='clip')")
     # Loaded before the work, so that what is invalid costs none.
     encoder, codes, lifting = (c.load() for c in (method.encoder, method.codes, method.lifting))
-    sample, predicted, label_maps = label_photographs(sample, method, trust_cameras, took)
+    sample, predicted, label_maps = label_photographs(sample, method, trust_cameras, on_step)
     gaussians, geometry, quality, depths = predicted
-    with _time_step("supervision", took):
+    with _time_step("supervision", on_step):
         drawing = codes, method.seed, method.bank
         bank = build_memory_bank(sample, geometry, label_maps, encoder, *drawing)
-    with _time_step("field", took):
+    with _time_step("field", on_step):
         return lift_field(sample, gaussians, label_maps, bank, lifting, method, quality, depths)
 
 
@@ -102,7 +102,7 @@ def label_photographs(
     sample: Sample,
     method: Method,
     trust_cameras: bool = False,
-    took: Callable[[str, float], None] = lambda step, seconds: None,
+    on_step: Callable[[str, float], None] = lambda step, seconds: None,
 ) -> tuple[Sample, Predicted, LabelMaps]:
     """Do the first steps of :func:`build_field`, up to the label maps; return the usable views too.
 
@@ -115,9 +115,9 @@ def label_photographs(
     sample, left_out = select_usable(sample)
     for name, reason in left_out.items():
         warnings.warn(f"{name} is left out: {reason}", stacklevel=3)
-    with _time_step("geometry", took):
+    with _time_step("geometry", on_step):
         predicted = predict(sample, predictor, method.seed, trust_cameras)
-    with _time_step("masks", took):
+    with _time_step("masks", on_step):
         votes = method.replicas, method.votes
         label_maps = label_views(predicted.geometry, proposer, tracker, *votes)
     return sample, predicted, label_maps
@@ -373,10 +373,10 @@ def _with_confidence(camera: Camera, quality: Quality) -> Camera:
 
 
 @contextmanager
-def _time_step(step: str, took: Callable[[str, float], None]) -> Iterator[None]:
+def _time_step(step: str, on_step: Callable[[str, float], None]) -> Iterator[None]:
     start = time.perf_counter()
     yield
-    took(step, time.perf_counter() - start)
+    on_step(step, time.perf_counter() - start)
 
 
 def _size(arrays: Mapping[str, np.ndarray]) -> int:

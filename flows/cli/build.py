@@ -176,7 +176,7 @@ def _pairs_text(estimate: EstimatedCameras) -> str:
     rows: list[Sequence[str]] = [("pair", "matches", "agree", "angle", "off by", "verdict")]
     for pair in sorted(estimate.pairs, key=lambda pair: [place[name] for name in pair.views]):
         angles = (f"{a:.1f}" if isfinite(a) else "" for a in (pair.angle, pair.uncertainty))
-        verdict = pair.verdict + (f": {pair.said}" if pair.said else "")
+        verdict = pair.verdict + (f": {pair.reason}" if pair.reason else "")
         views = " - ".join(pair.views)
         rows.append((views, str(pair.matches), str(pair.inliers), *angles, verdict))
     return table_text(rows, "<>>>><")

@@ -44,7 +44,7 @@ class EstimatedPair:
         angle: Degrees between the two lines of sight, median of the inliers; NaN without any.
         uncertainty: Standard deviation of the rotation or direction of translation, degrees.
         verdict: :data:`GOOD`, :data:`DOUBTFUL` or :data:`UNUSED`.
-        said: Reason if not good, a clause; else "".
+        reason: Reason if not good, a clause; else "".
     """
 
     views: tuple[str, str]
@@ -53,7 +53,7 @@ class EstimatedPair:
     angle: float
     uncertainty: float
     verdict: str
-    said: str
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,7 +133,7 @@ def _find_two(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
     if pose.estimate.verdict == UNUSED or views is None or views.covariance is None:
         raise InputError(
             f"{a.photograph.name!r} and {b.photograph.name!r}: no cameras can be found: "
-            f"{pose.estimate.said}; {pose.advice}"
+            f"{pose.estimate.reason}; {pose.advice}"
         )
     R, t, focals, deviations = views.R, views.t, views.focals, pose.deviations
     described = [first, second]
@@ -143,7 +143,7 @@ def _find_two(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
     pair = replace(pose.estimate, views=(a.photograph.name, b.photograph.name))
     doubtful = pair.verdict == DOUBTFUL
     probability = confidence(pose) * (DOUBTFUL_PAIR_FACTOR if doubtful else 1)
-    doubt = pair.said if doubtful else ""
+    doubt = pair.reason if doubtful else ""
     placed = np.stack([np.eye(3), R]), np.stack([np.zeros(3), t])
     found = _estimated_cameras(described, *placed, focals, deviations, (pair,), probability, doubt)
     graph = _graph([first, second], poses).select([1, 0] if reverse else [0, 1])
@@ -300,7 +300,7 @@ def _require_places(
         a, b = best.estimate.views
         raise InputError(
             f"{len(described)} photographs: no two of them tell cameras; {a!r} and {b!r} share most"
-            f", but {best.estimate.said or 'hold too little that both show'}; "
+            f", but {best.estimate.reason or 'hold too little that both show'}; "
             f"{best.advice or 'take photographs that share more'}"
         )
     placed_views = set(placed.order.tolist())
@@ -321,7 +321,7 @@ def _unplaced_reason(
         return "it shares next to nothing with them"
     best = max(candidates, key=lambda pose: pose.estimate.inliers).estimate
     neighbour = best.views[best.views[0] == name]
-    reason = best.said or f"only {best.inliers} matches agree, too few of which others show"
+    reason = best.reason or f"only {best.inliers} matches agree, too few of which others show"
     return f"of it and {neighbour!r}, which shares most with it: {reason}"
 
 
@@ -342,7 +342,7 @@ def _check_pair(
     if pose.views.turned_from(together) < two_view.SAME_POSE_ANGLE:
         return estimate
     return replace(
-        estimate, verdict=UNUSED, said="the other photographs contradict what the two say alone"
+        estimate, verdict=UNUSED, reason="the other photographs contradict what the two say alone"
     )
 
 

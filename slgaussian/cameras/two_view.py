@@ -355,7 +355,9 @@ def _pose_from_matches(
         )
     if not doubts:
         return pose
-    return replace(pose, estimate=replace(pose.estimate, verdict=DOUBTFUL, said="; ".join(doubts)))
+    return replace(
+        pose, estimate=replace(pose.estimate, verdict=DOUBTFUL, reason="; ".join(doubts))
+    )
 
 
 def confidence(pose: PairPose) -> float:
@@ -426,7 +428,7 @@ def _cover(points: np.ndarray, of: Described) -> float:
 
 
 def _refuse(pose: PairPose, reason: str, advice: str) -> PairPose:
-    estimate = replace(pose.estimate, verdict=UNUSED, said=reason)
+    estimate = replace(pose.estimate, verdict=UNUSED, reason=reason)
     return replace(pose, estimate=estimate, advice=advice)
 
 

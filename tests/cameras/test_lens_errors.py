@@ -42,28 +42,28 @@ def evidence(k1: float, exif: float | None):
 
 @pytest.mark.parametrize("k1", [-0.4, -0.2, 0.1])
 def test_distortion_of_opencv_is_estimated(k1):
-    said = evidence(k1, None)
-    assert update(BENT, said.bent) > 0.99
-    mean, deviation = said.bend
+    lens = evidence(k1, None)
+    assert update(BENT, lens.bent) > 0.99
+    mean, deviation = lens.bend
     assert mean * (FOCAL / SIDE) ** 2 == pytest.approx(k1, abs=0.02) and deviation < 0.05
 
 
 def test_straight_lens_with_true_exif_is_not_doubted():
-    said = evidence(0.0, 1.0)
-    assert update(BENT, said.bent) < 0.2 and update(EXIF_WRONG, said.wrong) < 0.2
+    lens = evidence(0.0, 1.0)
+    assert update(BENT, lens.bent) < 0.2 and update(EXIF_WRONG, lens.wrong) < 0.2
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
 def test_exif_of_another_field_of_view_is_contradicted(factor):
-    said = evidence(0.0, factor)
-    assert update(EXIF_WRONG, said.wrong) > 0.95
-    mean, deviation = said.focal
+    lens = evidence(0.0, factor)
+    assert update(EXIF_WRONG, lens.wrong) > 0.95
+    mean, deviation = lens.focal
     assert abs(mean - np.log(FOCAL)) < 2 * deviation < 0.2
 
 
 def test_true_exif_of_a_distorted_lens_is_not_blamed():
-    said = evidence(-0.3, 1.0)
-    assert update(BENT, said.bent) > 0.99 and update(EXIF_WRONG, said.wrong) < 0.5
+    lens = evidence(-0.3, 1.0)
+    assert update(BENT, lens.bent) > 0.99 and update(EXIF_WRONG, lens.wrong) < 0.5
 
 
 @pytest.mark.parametrize("bend", [-0.5, 0.2])

@@ -116,5 +116,5 @@ def test_pair_contradicted_by_the_others_is_unused(photographs):
 
     result = find_multi_view([Described.of(p) for p in photographs], find_with_error)
     (wrong,) = (pair for pair in result.pairs if set(pair.views) == wrong_pair)
-    assert wrong.verdict == UNUSED and "contradict" in wrong.said
+    assert wrong.verdict == UNUSED and "contradict" in wrong.reason
     assert angular_error([result.cameras[p.name] for p in photographs], room(0)[1]) < 4

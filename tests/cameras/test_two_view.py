@@ -36,5 +36,5 @@ def test_moved_bound_causes_its_verdict(verdict, bounds, reason, good_pair, monk
     for name, value in bounds.items():
         monkeypatch.setattr(two_view, name, inliers - 1 if value is None else value)
     pose = find_pair(*described)
-    assert pose.estimate.verdict == verdict and reason in pose.estimate.said
+    assert pose.estimate.verdict == verdict and reason in pose.estimate.reason
     assert bool(pose.advice) == (verdict == UNUSED)
