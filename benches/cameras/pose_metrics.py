@@ -21,7 +21,8 @@ def rotation_error(estimated: np.ndarray, true: np.ndarray) -> float:
 
 def direction_error(estimated: np.ndarray, true: np.ndarray) -> float:
     """Compute the angle between two translations [3] of any lengths, degrees."""
-    cosine = estimated @ true / (np.linalg.norm(estimated) * np.linalg.norm(true) + 1e-12)
+    lengths = np.linalg.norm(estimated) * np.linalg.norm(true)
+    cosine = estimated @ true / max(lengths, np.finfo(float).tiny)  # 90 degrees without a length
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 
