@@ -6,18 +6,24 @@ every edit can be undone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
+from slgaussian.language.bank import MemoryBank
 from slgaussian.language.taught import TaughtWords, normalize
-from slgaussian.storage.encoding import Arrays, decode_arrays, encode_artifact
-from slgaussian.storage.field_folder import read_content
+from slgaussian.semantic.boundary_gaussians import boundary_gaussians
+from slgaussian.storage.encoding import Arrays, arrays_digest, decode_arrays, encode_artifact
+from slgaussian.storage.field_folder import read_about, read_content
 from slgaussian.storage.specs import load_spec
+
+if TYPE_CHECKING:
+    from slgaussian.field import SemanticField
 
 FILES = {"words": "words.npz", "edits": "edits.npz"}
 """Names of the files by data spec."""
@@ -44,16 +50,52 @@ class Edits:
     names: Mapping[int, str] = field(default_factory=dict)
     removed: frozenset[int] = frozenset()
 
-    def rename(self, object_id: int, name: str) -> Edits:
+    def teach(self, word: str, object_id: int, bank: MemoryBank, encoder: str) -> Edits:
+        """Return the edits with an object as an example of ``word``, the others as its rivals.
+
+        ``encoder`` is the :func:`slgaussian.language.taught.encoder_identity` of the bank.
+
+        Raises:
+            InputError: If there is no such object, no view shows it, or the word cannot be used.
+        """
+        row, (rows, features) = bank.row(object_id), bank.mean_features()
+        if row not in rows:
+            raise InputError(f"object {object_id}: no view holds it, so it is like nothing")
+        lesson = features[rows == row][0], features[rows != row], encoder
+        return replace(self, taught=self.taught.add_example(word, *lesson))
+
+    def forget(self, word: str) -> Edits:
+        """Return the edits without a taught word; InputError if it is not taught."""
+        return replace(self, taught=self.taught.remove(word))
+
+    def rename(self, object_id: int, name: str, bank: MemoryBank) -> Edits:
         """Return the edits with a name for an object; an empty name deletes it.
 
-        InputError if the name is too long.
+        InputError if there is no such object, or the name is too long.
         """
+        bank.row(object_id)
         names = {id_: name_ for id_, name_ in self.names.items() if id_ != object_id}
         if plain := " ".join(name.split()):
             normalize(plain)
             names[int(object_id)] = plain
         return replace(self, names=names)
+
+    def hide(self, ids: Iterable[int], bank: MemoryBank) -> Edits:
+        """Return the edits with these objects removed; InputError if one does not exist."""
+        return replace(self, removed=self.removed | bank.check_ids(ids))
+
+    def restore(self, ids: Iterable[int], bank: MemoryBank, labels: np.ndarray) -> Edits:
+        """Return the edits with these objects restored.
+
+        InputError if one does not exist, or is not among the ``labels`` int32 [N] of the Gaussians.
+        """
+        restored = bank.check_ids(ids)
+        if missing := restored - set(labels.tolist()):
+            raise InputError(
+                f"object {min(missing)}: its Gaussians are not in this field; open the one that it "
+                "was removed from"
+            )
+        return replace(self, removed=self.removed - restored)
 
     def to_files(self) -> dict[str, bytes]:
         """Encode the edits as files by name; without edits there are none."""
@@ -72,11 +114,14 @@ class Edits:
             for spec, arrays in contents.items()
         }
 
-    def write(self, folder: Path) -> None:
+    def write(self, folder: Path, bank: MemoryBank) -> None:
         """Write the edits to the folder of a field, and delete those that it had before.
 
-        InputError if the folder cannot be written.
+        InputError if the folder cannot be written, or its field has another bank than ``bank``.
         """
+        about, _ = read_about(folder)
+        if about.digests["bank"] != arrays_digest(bank.to_arrays()):
+            raise InputError(f"{folder}: is the folder of another field; save this one as a whole")
         files = self.to_files()
         try:
             for name in FILES.values():
@@ -120,6 +165,32 @@ class Edits:
             removed = frozenset(arrays["removed"].tolist())
             edits = replace(edits, names=dict(named), removed=removed)
         return edits
+
+
+def find_hidden(
+    field: SemanticField, whole_views: dict[str, tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Find the Gaussians of removed objects and along their boundaries, bool [N].
+
+    Args:
+        whole_views: {name: (ids, depth)} of context views with all objects; those that are missing
+            are rendered and added.
+    """
+    ids = list(field.edits.removed)
+    hidden = np.isin(field.labels(), ids)
+    if not hidden.any():
+        return hidden
+    views = np.flatnonzero(field.bank.present[np.isin(field.bank.ids, ids)].any(0))
+    cameras = {name: c for i, (name, c) in enumerate(field.cameras.items()) if i in views}
+    whole = field.with_changes(edits=replace(field.edits, removed=frozenset()))
+    for name in cameras.keys() - whole_views.keys():
+        view = whole.render(cameras[name])
+        whole_views[name] = view.ids, view.depth
+    depths = [whole_views[name][1] for name in cameras]
+    masks = [np.isin(whole_views[name][0], ids) for name in cameras]
+    means = field.gaussians.to_arrays()["means"]
+    local_cameras = [field.gaussians.localize(camera) for camera in cameras.values()]
+    return hidden | boundary_gaussians(means, hidden, local_cameras, depths, masks)
 
 
 def _read(folder: Path, spec: str) -> Arrays | None:

@@ -34,7 +34,7 @@ class SceneObject:
         name: Name given by the user.
         words: tuple of (str, float). The texts that fit it best, with relevancies, best first; up
             to 0.5 a text fits no better than the canonical phrases.
-        confidence: Mean of :attr:`slgaussian.field.FieldView.confidence` over its pixels in the
+        confidence: Mean confidence (:class:`slgaussian.field_view.FieldView`) of its pixels in the
             context views; 0 if it is not visible.
         gaussians: Number of Gaussians whose main object it is.
         box: Upright bounding box in scene units, aligned to the room; None without Gaussians.
@@ -56,12 +56,13 @@ class SceneObject:
 
 
 def list_objects(
-    field: SemanticField, words: Sequence[tuple[tuple[str, float], ...]]
+    field: SemanticField, texts: Sequence[str] | None, rules: Rules
 ) -> list[SceneObject]:
     """Describe every object of a field that is not removed, in order of ids.
 
-    ``words`` are the best texts of each object of the bank.
+    ``texts`` as for :func:`rank_words`.
     """
+    words = rank_words(field, texts, rules)
     bank, views = field.bank, list(field.cameras)
     cameras = []
     for camera in field.cameras.values():
@@ -98,6 +99,23 @@ def list_objects(
             )
         )
     return objects
+
+
+def rank_words(
+    field: SemanticField, texts: Sequence[str] | None = None, rules: Rules | None = None
+) -> list[tuple[tuple[str, float], ...]]:
+    """Return the best words of each object of the bank, with relevancies, best first.
+
+    ``texts`` are candidates in addition to taught words, by default those that the encoder has for
+    describing objects.
+    """
+    words = list(dict.fromkeys([*field.edits.taught, *(texts or field.encoder.describing)]))
+    relevancies = field.reader.relevancies(words, rules or Rules()).T
+    best = np.argsort(-relevancies, axis=1, kind="stable")[:, :MAX_DESCRIBING_WORDS]
+    return [
+        tuple((words[k], float(scores[k])) for k in rows)
+        for scores, rows in zip(relevancies, best, strict=True)
+    ]
 
 
 def _box(means: np.ndarray, up: np.ndarray, origin: np.ndarray) -> Box:

@@ -204,7 +204,7 @@ def get_field(
     """Inverse of :func:`put_field`; ``places`` are the locations of the encoder's files."""
     description, parts = about_field(store, ref)
     arrays = {spec: store.get(parts[spec]) for spec in ("gaussians", "bank")}
-    return SemanticField.of(description, arrays, places)
+    return SemanticField.from_arrays(description, arrays, places)
 
 
 def result_to_arrays(result: SceneResult) -> Arrays:

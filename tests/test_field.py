@@ -101,7 +101,7 @@ def test_saved_field_renders_and_answers_the_same(codes, tmp_path):
     assert view.confidence[INTERIOR].min() > 0.9 and view.confidence[~INTERIOR].min() < 0.5
     np.testing.assert_array_equal(original.labels(), restored.labels())
     assert set(np.unique(original.labels())) == {RED, GREEN, BLUE, YELLOW}
-    table = restored.objects()
+    table = restored.contents()["objects"]
     assert table.column("id").to_pylist() == [RED, GREEN, BLUE, YELLOW]
     np.testing.assert_array_equal(table.column("code_b"), original.bank.codes[:, 2])
     assert sum(table.column("gaussians").to_pylist()) == len(original.gaussians)

@@ -16,7 +16,7 @@ from slgaussian.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from slgaussian.field import FieldView
+    from slgaussian.field_view import FieldView
     from slgaussian.language.answer import QueryResult
 
 MAX_PRINTED_OBJECTS = 3

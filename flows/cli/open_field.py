@@ -18,7 +18,8 @@ from flows.read_config import validate_settings
 from slgaussian import precompile
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
-from slgaussian.field import FieldView, SemanticField
+from slgaussian.field import SemanticField
+from slgaussian.field_view import FieldView
 from slgaussian.kernels import threads
 from slgaussian.scene import Camera, Scene
 from slgaussian.storage.field_folder import read_about

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from slgaussian.components.registry import load_component
+from slgaussian.components.registry import load_component, restore
+from slgaussian.errors import InputError, SpecError
 
 if TYPE_CHECKING:  # listing the components must not import torch
     import numpy as np
@@ -151,6 +153,37 @@ class Encoder(ABC):
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
     """Make the encoder called ``name``; raises InputError if there is none."""
     return load_component("encoder", name, settings)
+
+
+def restore_encoder(settings: Mapping[str, Any], places: Mapping[str, str], width: int) -> Encoder:
+    """Load the encoder that a field was built with, whose vectors have ``width`` numbers.
+
+    Args:
+        settings, places: As of :class:`slgaussian.field.SemanticField`.
+
+    Raises:
+        InputError: If one of its files is missing from ``places`` or has another content.
+        SpecError: If its vectors have another dimension.
+    """
+    component = restore("encoder", settings, places)
+    for key, file in component.known_files.items():
+        place = file.place
+        if not place or (os.path.isabs(place) and not os.path.exists(place)):
+            moved = f" and is no longer at {place}" if place else ""
+            raise InputError(
+                f"the field's encoder {component.name!r} needs its {key}, which is not stored with "
+                f"a field{moved}; say where it is, as in --set {component.name}.{key}=PLACE or "
+                f"SemanticField.load(..., encoder={{'{key}': PLACE}})"
+            )
+    encoder: Encoder = component.load(
+        "is not what the field was built with; give that one, or build the field with it"
+    )
+    if width != encoder.encode_text(encoder.canonical).shape[1]:
+        raise SpecError(
+            f"memory bank: made by another version of the encoder {component.name!r}; build the "
+            "field again"
+        )
+    return encoder
 
 
 class CodeStrategy(Protocol):

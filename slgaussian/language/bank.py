@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any
@@ -113,6 +113,10 @@ class MemoryBank:
                 "`slgaussian objects list` has them"
             )
         return row
+
+    def check_ids(self, ids: Iterable[int]) -> frozenset[int]:
+        """Return a set of ids of objects; InputError if there is none with one of them."""
+        return frozenset(int(self.ids[self.row(id_)]) for id_ in ids)
 
     def mean_features(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows of the objects that some view shows, and their mean unit features.

@@ -105,6 +105,16 @@ def make_decoder(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder:
     return NearestCode(bank) if options.get("decode") == "nearest" else Decoder(bank)
 
 
+def find_labels(features: np.ndarray, bank: MemoryBank) -> np.ndarray:
+    """Find the main object of each Gaussian by its ``features`` [N, 4]: int32 [N], 0 for none."""
+    labelled = features[:, -1] >= MIN_WEIGHT
+    ids = np.zeros(len(features), np.int32)
+    if labelled.any():
+        rows = nearest_code(features[labelled, :-1] / features[labelled, -1:], bank.codes)
+        ids[labelled] = bank.ids[rows]
+    return ids
+
+
 def _gaps(codes: np.ndarray) -> np.ndarray:
     """Compute the L1 distance from each code to the nearest other one, float64 [N]; inf if none."""
     distances = np.array([np.abs(codes - code).sum(1) for code in codes]).reshape(2 * (len(codes),))

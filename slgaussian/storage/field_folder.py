@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from slgaussian.scene import Camera, Estimated
 from slgaussian.storage.encoding import Arrays, arrays_digest, decode_arrays
 from slgaussian.storage.specs import load_spec, mismatch
 from slgaussian.storage.store import is_digest
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 FORMAT = 1
 """Version of the format of the folder. Folders without a version are older."""
@@ -159,17 +162,27 @@ def read_about(path: Path) -> tuple[About, dict[str, str]]:
     return About.from_json(read_content(file), str(file))
 
 
-def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
-    """Read the arrays of one file of a folder; SpecError if their digest is another one."""
-    file, rules = path / FILES[spec], load_spec(spec)
-    arrays = decode_arrays(read_content(file), rules, str(file), repair=REPAIR)
-    actual = arrays_digest(arrays)
-    if actual != digest:
-        expected = (
-            f"{digest[:12]} by {FIELD_FILE}: it was changed or belongs to another field; {REPAIR}"
-        )
-        raise mismatch(str(file), "digest", f"content {actual[:12]}", expected)
-    return arrays
+def read_arrays(path: Path, digests: Mapping[str, str]) -> dict[str, Arrays]:
+    """Read ``bank`` and ``gaussians`` of a folder; SpecError if one has not its digest."""
+    contents: dict[str, Arrays] = {}
+    for spec in ("bank", "gaussians"):
+        file, digest = path / FILES[spec], digests[spec][:12]
+        contents[spec] = decode_arrays(read_content(file), load_spec(spec), str(file), REPAIR)
+        actual = arrays_digest(contents[spec])
+        if actual != digests[spec]:
+            expected = f"{digest} by {FIELD_FILE}: it was changed or belongs to another field"
+            found = f"content {actual[:12]}"
+            raise mismatch(str(file), "digest", found, f"{expected}; {REPAIR}")
+    return contents
+
+
+def tabulate_objects(ids: np.ndarray, codes: np.ndarray, labels: np.ndarray) -> pa.Table:
+    """Make the table of objects: id, code and number of Gaussians with this main object."""
+    import pyarrow as pa
+
+    rows = np.searchsorted(ids, labels[labels > 0])  # ids are positive and ascending
+    columns = [ids.astype(np.int64), *codes.T.astype(np.float64), np.bincount(rows, None, len(ids))]
+    return pa.table(columns, schema=load_spec("objects").schema)
 
 
 def read_content(file: Path, repair: str = REPAIR) -> bytes:

@@ -29,6 +29,7 @@ from slgaussian.edits import Edits
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats import strict_json
+from slgaussian.objects import rank_words
 from slgaussian.viewer.auth import Access, Guard
 from slgaussian.viewer.page.answers import PageAnswers
 from slgaussian.viewer.page.packed import morton_order
@@ -83,7 +84,7 @@ class LiveField:
         words; ``unsaved`` and ``undo``: whether there are unsaved changes and changes to undo.
         """
         field, edits = self.field, self.field.edits
-        words = field.best_words()
+        words = rank_words(field)
         hidden = field.hidden[self._order] if edits.removed else np.zeros(0, bool)
         return {
             "names": [edits.names.get(id_, "") for id_ in self.ids],

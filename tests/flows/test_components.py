@@ -156,7 +156,7 @@ def test_run_is_cached_by_content_of_files_wherever_they_are(places, tmp_path, s
     for out, files in (("out", places), ("again", moved)):
         field = SemanticField.load(tmp_path / out / "fields" / "room")
         assert field.places == {"model": str(files["clip"].resolve())}
-        assert field.best_words(["red ball"])
+        assert field.inventory(["red ball"])
     changed = settings_for(moved, *names, out=tmp_path / "third", sam={"points": 2})
     score(changed, store, verbose=True)
     progress = capsys.readouterr().err

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from scipy.special import expit, logit
 
-from slgaussian.field import mean_colour
+from slgaussian.field_view import mean_colour
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take

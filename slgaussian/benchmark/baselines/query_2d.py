@@ -11,7 +11,7 @@ import numpy as np
 
 from slgaussian.benchmark.baselines.dense import Picture, draw_picture
 from slgaussian.benchmark.baselines.inputs import Inputs
-from slgaussian.field import FieldView
+from slgaussian.field_view import FieldView
 from slgaussian.geometry import SeenView
 from slgaussian.labels import MIN_WEIGHT, LabelMaps
 from slgaussian.language.answer import QueryResult
