@@ -8,19 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.io import write_atomic
+from slgaussian.io import explain_write_errors, write_atomic
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.taught import TaughtWords, normalize
 from slgaussian.semantic.boundary_gaussians import boundary_gaussians
-from slgaussian.storage.encoding import Arrays, arrays_digest, decode_arrays, encode_artifact
-from slgaussian.storage.field_folder import read_about, read_content
-from slgaussian.storage.specs import load_spec
+from slgaussian.storage.encoding import Arrays, arrays_digest, encode_artifact
+from slgaussian.storage.field_folder import read_about, read_file
 
 if TYPE_CHECKING:
     from slgaussian.field import SemanticField
@@ -53,16 +53,14 @@ class Edits:
     def teach(self, word: str, object_id: int, bank: MemoryBank, encoder: str) -> Edits:
         """Return the edits with an object as an example of ``word``, the others as its rivals.
 
-        ``encoder`` is the :func:`slgaussian.language.taught.encoder_identity` of the bank.
-
-        Raises:
-            InputError: If there is no such object, no view shows it, or the word cannot be used.
+        ``encoder`` as in :meth:`read`. InputError if there is no such object, no view shows it, or
+        the word cannot be used.
         """
         row, (rows, features) = bank.row(object_id), bank.mean_features()
         if row not in rows:
             raise InputError(f"object {object_id}: no view holds it, so it is like nothing")
-        lesson = features[rows == row][0], features[rows != row], encoder
-        return replace(self, taught=self.taught.add_example(word, *lesson))
+        example, rivals = features[rows == row][0], features[rows != row]
+        return replace(self, taught=self.taught.add_example(word, example, rivals, encoder))
 
     def forget(self, word: str) -> Edits:
         """Return the edits without a taught word; InputError if it is not taught."""
@@ -123,17 +121,12 @@ class Edits:
         if about.digests["bank"] != arrays_digest(bank.to_arrays()):
             raise InputError(f"{folder}: is the folder of another field; save this one as a whole")
         files = self.to_files()
-        try:
+        with explain_write_errors(folder):
             for name in FILES.values():
                 if name in files:
                     write_atomic(folder / name, files[name])
                 else:
                     (folder / name).unlink(missing_ok=True)
-        except OSError as error:
-            raise InputError(
-                f"{folder}: cannot be written ({error.strerror}); choose a folder that you may "
-                "write to, on a disk with room"
-            ) from error
 
     @staticmethod
     def read(folder: Path, encoder: str, ids: np.ndarray) -> Edits:
@@ -148,19 +141,19 @@ class Edits:
                 the field.
         """
         edits = Edits()
-        if words := _read(folder, "words"):
+        file, repair = folder / FILES["words"], REPAIR["words"]
+        if file.is_file():
+            arrays = read_file(file, "words", repair)
             try:
-                edits = Edits(TaughtWords.from_arrays(words, encoder))
+                edits = Edits(TaughtWords.from_arrays(arrays, encoder))
             except (InputError, SpecError) as error:
-                file = folder / FILES["words"]
-                raise SpecError(f"{file}: {error}; {REPAIR['words']}") from error
-        if arrays := _read(folder, "edits"):
+                raise SpecError(f"{file}: {error}; {repair}") from error
+        file, repair = folder / FILES["edits"], REPAIR["edits"]
+        if file.is_file():
+            arrays = read_file(file, "edits", repair)
             strange = np.setdiff1d(np.concatenate([arrays["named"], arrays["removed"]]), ids)
             if len(strange):
-                raise SpecError(
-                    f"{folder / FILES['edits']}: object {strange[0]} is not in this field; "
-                    f"{REPAIR['edits']}"
-                )
+                raise SpecError(f"{file}: object {strange[0]} is not in this field; {repair}")
             named = zip(arrays["named"].tolist(), arrays["names"].tolist(), strict=True)
             removed = frozenset(arrays["removed"].tolist())
             edits = replace(edits, names=dict(named), removed=removed)
@@ -180,8 +173,8 @@ def find_hidden(
     hidden = np.isin(field.labels(), ids)
     if not hidden.any():
         return hidden
-    views = np.flatnonzero(field.bank.present[np.isin(field.bank.ids, ids)].any(0))
-    cameras = {name: c for i, (name, c) in enumerate(field.cameras.items()) if i in views}
+    shown = field.bank.present[np.isin(field.bank.ids, ids)].any(0)
+    cameras = dict(compress(field.cameras.items(), shown))
     whole = field.with_changes(edits=replace(field.edits, removed=frozenset()))
     for name in cameras.keys() - whole_views.keys():
         view = whole.render(cameras[name])
@@ -191,11 +184,3 @@ def find_hidden(
     means = field.gaussians.to_arrays()["means"]
     local_cameras = [field.gaussians.localize(camera) for camera in cameras.values()]
     return hidden | boundary_gaussians(means, hidden, local_cameras, depths, masks)
-
-
-def _read(folder: Path, spec: str) -> Arrays | None:
-    """Read a file of edits; None if there is none."""
-    file, repair = folder / FILES[spec], REPAIR[spec]
-    if not file.is_file():
-        return None
-    return decode_arrays(read_content(file, repair), load_spec(spec), str(file), repair)

@@ -15,7 +15,7 @@ import numpy as np
 from slgaussian.components.registry import restore
 from slgaussian.edits import Edits, find_hidden
 from slgaussian.errors import InputError, SpecError, check_type
-from slgaussian.field_view import FieldView, add_stripes, mean_colour
+from slgaussian.field_view import FieldView, add_stripes, mean_colour, render_values
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short
 from slgaussian.language import Encoder, restore_encoder
@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from slgaussian.objects import SceneObject
-    from slgaussian.rasterize.picture import Picture
-    from slgaussian.semantic.decode import Decoder, NearestCode
+    from slgaussian.semantic.decode import Decoder
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +69,7 @@ class SemanticField:
 
     @cached_property
     def encoder(self) -> Encoder:
-        """The text encoder of the bank, loaded on first access.
-
-        Raises:
-            InputError: If one of its files is missing from ``places`` or has another content.
-            SpecError: If its vectors have another dimension than those of the bank.
-        """
+        """The text encoder, loaded on first access; :func:`slgaussian.language.restore_encoder`."""
         return restore_encoder(self.settings, self.places, self.bank.features.shape[2])
 
     @cached_property
@@ -104,13 +98,9 @@ class SemanticField:
     def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[SceneObject]:
         """List every object with its best words, position and size, by id.
 
-        Args:
-            texts: sequence of str, optional. Texts that describe objects, in addition to taught
-                words. By default :attr:`slgaussian.language.Encoder.describing`.
-            rules: As in :meth:`FieldView.query`; they affect only the relevancies.
-
-        Raises:
-            InputError: If a text cannot be used.
+        ``texts`` describe objects, in addition to taught words; by default they are
+        :attr:`slgaussian.language.Encoder.describing`. ``rules``, as in :meth:`FieldView.query`,
+        affect only the relevancies. InputError if a text cannot be used.
         """
         from slgaussian.objects import list_objects
 
@@ -122,7 +112,7 @@ class SemanticField:
         ``backend`` as in :func:`slgaussian.rasterize.rasterize`.
         """
         check_type(camera, Camera, "render: expected a Camera, such as sample.context[0].camera")
-        image = self._picture(camera, backend)
+        image = render_values(self.visible, camera, backend)
         ids, confidence = self._decoder(image.values[..., 3:])
         rgb = mean_colour(image.values[..., :3], image.alpha)
         if self.edits.removed:
@@ -134,22 +124,7 @@ class SemanticField:
 
         Codes are multiplied by blending weights, so they are 0 where the view is empty.
         """
-        return self._picture(camera, backend).values[..., 3:-1]
-
-    def _picture(self, camera: Camera, backend: str) -> Picture:
-        """Render colours, codes and their weight, as arrays on the CPU."""
-        from slgaussian.rasterize.picture import Picture, compute_view_colours, picture
-
-        gaussians = self.visible
-        if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
-            drawn = compute_view_colours(gaussians, camera), gaussians.to_arrays()["features"]
-            return picture(gaussians, np.concatenate(drawn, 1), camera)
-        import torch
-
-        from slgaussian.rasterize import harmonics, rasterize
-
-        tensors = harmonics.compute_colours(gaussians, camera), gaussians.require_features()
-        return Picture.of(rasterize(gaussians, torch.cat(tensors, 1), camera, backend=backend))
+        return render_values(self.visible, camera, backend).values[..., 3:-1]
 
     def with_changes(self, **parts: Any) -> SemanticField:
         """Return the field with ``parts`` replaced; cached results that stay valid are shared."""
@@ -168,9 +143,7 @@ class SemanticField:
         """Return the field with an object as an example of ``word``.
 
         The other objects of the field become its rivals. See :mod:`slgaussian.language.taught`.
-
-        Raises:
-            InputError: If there is no such object, or the word is empty or too long.
+        InputError if there is no such object, or the word is empty or too long.
         """
         identity = encoder_identity(self.settings)
         return self.with_changes(edits=self.edits.teach(word, object_id, self.bank, identity))
@@ -222,7 +195,7 @@ class SemanticField:
         return {}
 
     @cached_property
-    def _decoder(self) -> Decoder | NearestCode:
+    def _decoder(self) -> Decoder:
         from slgaussian.semantic.decode import make_decoder
 
         return make_decoder(self.bank, self.settings)
@@ -266,8 +239,7 @@ class SemanticField:
                 spec: encode_artifact(spec, content, field_folder.FILES[spec])
                 for spec, content in self.contents().items()
             }
-        digests = {spec: digest for spec, (digest, _) in files.items()}
-        about = About(self.settings, self.cameras, digests)
+        about = About(self.settings, self.cameras, {spec: file[0] for spec, file in files.items()})
         field_folder.write(
             Path(path),
             about.to_json(self.places),
@@ -278,9 +250,8 @@ class SemanticField:
     def save_edits(self, path: str | Path) -> None:
         """Write only taught words, names and removed objects to the folder of this field.
 
-        Raises:
-            InputError: If the folder holds another field, or cannot be written.
-            SpecError: If it is damaged.
+        InputError if the folder holds another field or cannot be written, SpecError if it is
+        damaged.
         """
         self.edits.write(Path(path), self.bank)
 

@@ -1,4 +1,4 @@
-"""A rendered view of a semantic field, and the answers to texts and pictures in it."""
+"""A view of a semantic field: its pixels, and the answers to texts and pictures in it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slgaussian.errors import InputError, check_type
+from slgaussian.gaussians import Gaussians
 from slgaussian.io import short_repr
 from slgaussian.labels import MIN_WEIGHT
 from slgaussian.language import Encoder
@@ -22,6 +23,7 @@ from slgaussian.scene import Camera
 
 if TYPE_CHECKING:
     from slgaussian.field import SemanticField
+    from slgaussian.rasterize.picture import Picture
 
 HATCH_WIDTH = 5
 """Width in pixels of a stripe of the pattern for unknown pixels."""
@@ -106,6 +108,21 @@ class FieldView:
         default 0.5. The command ``segment`` uses this method.
         """
         return segment(texts, self._objects, self.reader, Rules(**rules))
+
+
+def render_values(gaussians: Gaussians, camera: Camera, backend: str) -> Picture:
+    """Render colours, codes and their weight, as arrays on the CPU."""
+    from slgaussian.rasterize.picture import Picture, compute_view_colours, picture
+
+    if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
+        drawn = compute_view_colours(gaussians, camera), gaussians.to_arrays()["features"]
+        return picture(gaussians, np.concatenate(drawn, 1), camera)
+    import torch
+
+    from slgaussian.rasterize import harmonics, rasterize
+
+    tensors = harmonics.compute_colours(gaussians, camera), gaussians.require_features()
+    return Picture.of(rasterize(gaussians, torch.cat(tensors, 1), camera, backend=backend))
 
 
 def mean_colour(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:

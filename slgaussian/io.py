@@ -59,7 +59,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     Raises:
         InputError: If it cannot be written; ``path`` is then unchanged.
     """
-    try:
+    with explain_write_errors(path):
         draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
         try:
             draft.chmod(0o755)
@@ -73,6 +73,13 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         except BaseException:
             shutil.rmtree(draft, ignore_errors=True)
             raise
+
+
+@contextmanager
+def explain_write_errors(path: Path) -> Iterator[None]:
+    """Raise an OSError of the block as an InputError that says what to do about ``path``."""
+    try:
+        yield
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); choose a folder that you may write "

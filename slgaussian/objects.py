@@ -86,6 +86,7 @@ def list_objects(
         if id_ in field.edits.removed:
             continue
         members = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
+        box = upright_box(means[members], up) if len(members) else None
         objects.append(
             SceneObject(
                 id=id_,
@@ -93,7 +94,7 @@ def list_objects(
                 words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
                 gaussians=len(members),
-                box=_box(means[members], up, field.gaussians.origin) if len(members) else None,
+                box=box and replace(box, centre=box.centre + field.gaussians.origin),
                 metres=False if estimated else None,
                 views=tuple(views[view] for view in np.flatnonzero(bank.present[row]).tolist()),
             )
@@ -106,8 +107,7 @@ def rank_words(
 ) -> list[tuple[tuple[str, float], ...]]:
     """Return the best words of each object of the bank, with relevancies, best first.
 
-    ``texts`` are candidates in addition to taught words, by default those that the encoder has for
-    describing objects.
+    ``texts`` as for :meth:`slgaussian.field.SemanticField.inventory`.
     """
     words = list(dict.fromkeys([*field.edits.taught, *(texts or field.encoder.describing)]))
     relevancies = field.reader.relevancies(words, rules or Rules()).T
@@ -116,11 +116,6 @@ def rank_words(
         tuple((words[k], float(scores[k])) for k in rows)
         for scores, rows in zip(relevancies, best, strict=True)
     ]
-
-
-def _box(means: np.ndarray, up: np.ndarray, origin: np.ndarray) -> Box:
-    box = upright_box(means, up)
-    return replace(box, centre=box.centre + origin)
 
 
 def suggest_word(field: SemanticField) -> str | None:

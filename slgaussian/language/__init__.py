@@ -156,14 +156,11 @@ def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
 
 
 def restore_encoder(settings: Mapping[str, Any], places: Mapping[str, str], width: int) -> Encoder:
-    """Load the encoder that a field was built with, whose vectors have ``width`` numbers.
-
-    Args:
-        settings, places: As of :class:`slgaussian.field.SemanticField`.
+    """Load the encoder that a field with these settings and places was built with.
 
     Raises:
         InputError: If one of its files is missing from ``places`` or has another content.
-        SpecError: If its vectors have another dimension.
+        SpecError: If its vectors have another ``width``.
     """
     component = restore("encoder", settings, places)
     for key, file in component.known_files.items():

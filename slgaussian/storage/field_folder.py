@@ -21,7 +21,7 @@ import numpy as np
 from slgaussian import __version__
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
-from slgaussian.io import atomic_folder, file_digest
+from slgaussian.io import atomic_folder, explain_write_errors, file_digest
 from slgaussian.scene import Camera, Estimated
 from slgaussian.storage.encoding import Arrays, arrays_digest, decode_arrays
 from slgaussian.storage.specs import load_spec, mismatch
@@ -166,14 +166,18 @@ def read_arrays(path: Path, digests: Mapping[str, str]) -> dict[str, Arrays]:
     """Read ``bank`` and ``gaussians`` of a folder; SpecError if one has not its digest."""
     contents: dict[str, Arrays] = {}
     for spec in ("bank", "gaussians"):
-        file, digest = path / FILES[spec], digests[spec][:12]
-        contents[spec] = decode_arrays(read_content(file), load_spec(spec), str(file), REPAIR)
-        actual = arrays_digest(contents[spec])
-        if actual != digests[spec]:
-            expected = f"{digest} by {FIELD_FILE}: it was changed or belongs to another field"
-            found = f"content {actual[:12]}"
-            raise mismatch(str(file), "digest", found, f"{expected}; {REPAIR}")
+        file, digest = path / FILES[spec], digests[spec]
+        contents[spec] = read_file(file, spec)
+        if (actual := arrays_digest(contents[spec])) != digest:
+            problem = f"it was changed or belongs to another field; {REPAIR}"
+            expected = f"{digest[:12]} by {FIELD_FILE}: {problem}"
+            raise mismatch(str(file), "digest", f"content {actual[:12]}", expected)
     return contents
+
+
+def read_file(file: Path, spec: str, repair: str = REPAIR) -> Arrays:
+    """Read the arrays of a file of a folder; SpecError, with advice, if it is damaged."""
+    return decode_arrays(read_content(file, repair), load_spec(spec), str(file), repair)
 
 
 def tabulate_objects(ids: np.ndarray, codes: np.ndarray, labels: np.ndarray) -> pa.Table:
@@ -257,14 +261,9 @@ def check_target(path: Path, marker: str = FIELD_FILE, kind: str = "a field") ->
             folder.
     """
     check_free(path, marker, kind)
-    try:
+    with explain_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         os.rmdir(tempfile.mkdtemp(prefix=".probe-", dir=path.parent))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); choose a folder that you may write to, "
-            "on a disk with room"
-        ) from error
 
 
 def check_free(path: Path, marker: str = FIELD_FILE, kind: str = "a field") -> None:
