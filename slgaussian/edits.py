@@ -19,7 +19,7 @@ from slgaussian.io import explain_write_errors, write_atomic
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.taught import TaughtWords, normalize
 from slgaussian.semantic.boundary_gaussians import boundary_gaussians
-from slgaussian.storage.encoding import Arrays, arrays_digest, encode_artifact
+from slgaussian.storage.encoding import arrays_digest, encode_artifact
 from slgaussian.storage.field_folder import read_about, read_file
 
 if TYPE_CHECKING:
@@ -97,9 +97,7 @@ class Edits:
 
     def to_files(self) -> dict[str, bytes]:
         """Encode the edits as files by name; without edits there are none."""
-        contents: dict[str, Arrays] = {}
-        if len(self.taught):
-            contents["words"] = self.taught.to_arrays()
+        contents = {"words": self.taught.to_arrays()} if len(self.taught) else {}
         if self.names or self.removed:
             ids = sorted(self.names)
             contents["edits"] = {

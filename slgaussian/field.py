@@ -294,11 +294,9 @@ class SemanticField:
         Raises:
             InputError: If the arrays are invalid or do not match; the message begins with the file.
         """
-        spec = "bank"
         try:
-            bank = MemoryBank.from_arrays(arrays[spec])
-            spec = "gaussians"
-            gaussians = Gaussians.from_arrays(arrays[spec])
+            bank = MemoryBank.from_arrays(arrays[spec := "bank"])
+            gaussians = Gaussians.from_arrays(arrays[spec := "gaussians"])
             features = gaussians.to_arrays().get("features")
             if features is None or features.shape[1:] != (4,):
                 raise InputError("no features [N, 4]")

@@ -111,7 +111,10 @@ class FieldView:
 
 
 def render_values(gaussians: Gaussians, camera: Camera, backend: str) -> Picture:
-    """Render colours, codes and their weight, as arrays on the CPU."""
+    """Render colours, codes and their weight: ``values`` float32 [H, W, 7], on the CPU.
+
+    ``backend`` as in :func:`slgaussian.rasterize.rasterize`.
+    """
     from slgaussian.rasterize.picture import Picture, compute_view_colours, picture
 
     if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
@@ -126,9 +129,9 @@ def render_values(gaussians: Gaussians, camera: Camera, backend: str) -> Picture
 
 
 def mean_colour(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Convert composited colours float [H, W, 3] and ``alpha`` [H, W] to uint8 [H, W, 3].
+    """Compute the mean colour uint8 [H, W, 3] of composited colours float [H, W, 3].
 
-    Computes the mean colour, faded to black where ``alpha`` is below :data:`MIN_WEIGHT`.
+    It fades to black where ``alpha`` [H, W] is below :data:`MIN_WEIGHT`.
     """
     colour = drawn / np.maximum(alpha, MIN_WEIGHT)[..., None]
     return np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
