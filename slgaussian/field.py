@@ -69,7 +69,7 @@ class SemanticField:
 
     @cached_property
     def encoder(self) -> Encoder:
-        """The text encoder, loaded on first access; :func:`slgaussian.language.restore_encoder`."""
+        """The text encoder, which :func:`slgaussian.language.restore_encoder` loads when needed."""
         return restore_encoder(self.settings, self.places, self.bank.features.shape[2])
 
     @cached_property
