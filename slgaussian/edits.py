@@ -171,7 +171,7 @@ def find_hidden(
     hidden = np.isin(field.labels(), ids)
     if not hidden.any():
         return hidden
-    shown = field.bank.present[np.isin(field.bank.ids, ids)].any(0)
+    shown = np.any(field.bank.present[np.isin(field.bank.ids, ids)], axis=0)
     cameras = dict(compress(field.cameras.items(), shown))
     whole = field.with_changes(edits=replace(field.edits, removed=frozenset()))
     for name in cameras.keys() - whole_views.keys():
