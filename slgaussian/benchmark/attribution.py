@@ -16,7 +16,7 @@ import torch
 
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
-from slgaussian.benchmark.answering import understands
+from slgaussian.benchmark.answering import keep_understood
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.benchmark.scores import GOOD_IOU
 from slgaussian.field import SemanticField
@@ -91,10 +91,11 @@ def attribute_errors(
         labels = labels.ravel()[gaussians.source.numpy()]
         drawn = members[elect(gaussians, labels, target.camera)]
         drawn = drawn if opaque is None else drawn & opaque[..., None]
+        known = keep_understood(field.reader, masks)
+        answers = ask(known, objects, field.reader, rules) if known else []
+        hits = dict(zip(known, answers, strict=True))
         for column, (query, mask) in enumerate(masks.items()):
-            hit = None
-            if understands(field.reader, query):
-                hit = ask([query], objects, field.reader, rules)[0]
+            hit = hits.get(query)
             predicted, point = (np.zeros_like(mask), None) if hit is None else (hit.mask, hit.point)
             row: dict[str, Any] = common | {"frame": target.name, "query": query}
             row |= {"iou": metrics.iou(predicted, mask), "hit": metrics.point_in_mask(point, mask)}

@@ -13,7 +13,7 @@ import numpy as np
 from slgaussian import system
 from slgaussian.benchmark import metrics, pictures
 from slgaussian.benchmark.annotations import Truth, find_boxes
-from slgaussian.benchmark.answering import Answering, AnsweringView, Result, understands
+from slgaussian.benchmark.answering import Answering, AnsweringView, Result, keep_understood
 from slgaussian.benchmark.protocols import (
     PROTOCOLS,
     Answer,
@@ -149,8 +149,7 @@ def evaluate(
     if texts := [*(text for masks in truth.masks.values() for text in masks), *queries]:
         # Answer a text untimed: then all that is computed once per scene is cached.
         view = field.render(sample.context[0].camera)
-        understood = [text for text in dict.fromkeys(texts) if understands(view.reader, text)]
-        if understood:
+        if understood := keep_understood(view.reader, dict.fromkeys(texts)):
             recorder.query(view, understood[:1])
     for target in sample.targets:
         view, seconds = _measure_time(field.render, target.camera)
@@ -310,7 +309,7 @@ class _Recorder:
         self, view: AnsweringView, rendering: float, frame: str, queries: Sequence[str]
     ) -> dict[str, Result]:
         """Query the view with the understood texts, and time it."""
-        texts = [text for text in queries if understands(view.reader, text)]
+        texts = keep_understood(view.reader, queries)
         seconds: dict[str, float | None] = {"view_seconds": None, "query_seconds": None}
         hits: Sequence[Result] = []
         if texts:
@@ -350,12 +349,8 @@ class _Recorder:
     ) -> None:
         heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
         predicted = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
-        painted = pictures.paint_relevancy_range(heat, ground)
-        spotlit = pictures.spotlight(ground, predicted)
-        answer = pictures.draw_outline(spotlit, predicted, pictures.PREDICTED_COLOUR)
-        for kind, picture in (("relevancy", painted), ("mask", answer)):
-            outlined = pictures.draw_outline(picture, mask, pictures.TRUE_COLOUR)
-            self.pictures[f"{kind}/{name}"] = pictures.draw_point(outlined, scored.point)
+        painted = pictures.paint_scored(ground, heat, predicted, mask, scored.point)
+        self.pictures |= {f"{kind}/{name}": picture for kind, picture in painted.items()}
 
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]
