@@ -23,9 +23,7 @@ from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.benchmark import attribution, baselines, benchmark
 from tasks.scene import Labels, field, geometry, ingest, masks, supervision, truth
-
-STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
-"""The stages of :func:`score_scene`, in order."""
+from tasks.stage import list_stages
 
 FIELD_METHOD = "slgaussian"
 
@@ -67,6 +65,10 @@ def answer_scene(
     built = field(sample, gaussians, ids, bank, method)
     benchmark(sample, scene_truth, gaussians, ids, built, method.encoder, settings)
     return sample, scene_truth, gaussians, ids, built
+
+
+STAGES = list_stages(score_scene)
+"""The stages of :func:`score_scene`, in order."""
 
 
 def score_baseline(refs: Mapping[str, ArtifactRef], *arguments: Any) -> None:
