@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from inspect import getclosurevars
 from typing import Any
 
 from flows.config import SceneSettings, Settings
@@ -23,7 +24,7 @@ from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.benchmark import attribution, baselines, benchmark
 from tasks.scene import Labels, field, geometry, ingest, masks, supervision, truth
-from tasks.stage import list_stages
+from tasks.stage import Stage
 
 FIELD_METHOD = "slgaussian"
 
@@ -67,7 +68,12 @@ def answer_scene(
     return sample, scene_truth, gaussians, ids, built
 
 
-STAGES = list_stages(score_scene)
+STAGES = tuple(
+    called
+    for pipeline in (answer_scene, score_scene)
+    for called in getclosurevars(pipeline).globals.values()
+    if isinstance(called, Stage)
+)
 """The stages of :func:`score_scene`, in order."""
 
 

@@ -201,17 +201,6 @@ def stage(name: str, version: int) -> Callable[[Callable[..., ArtifactRef]], Sta
     return lambda compute: Stage(compute, name, version)
 
 
-def list_stages(pipeline: Callable[..., object]) -> tuple[Stage, ...]:
-    """Return the stages that a function calls, in order, also by functions of its module."""
-    found: list[Stage] = []
-    for called in inspect.getclosurevars(pipeline).globals.values():
-        if isinstance(called, Stage):
-            found.append(called)
-        elif inspect.isfunction(called) and called.__module__ == pipeline.__module__:
-            found += list_stages(called)
-    return tuple(found)
-
-
 def refs_in(value: Any) -> Iterator[ArtifactRef]:
     """Yield the refs in a value, within sequences, mappings and dataclasses too."""
     if isinstance(value, ArtifactRef):

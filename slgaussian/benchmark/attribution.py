@@ -171,14 +171,14 @@ def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.
     Objects or groups of the bank are chosen greedily by IoU, as many as the truth bool [H, W] has
     connected components above the fraction :data:`MIN_COMPONENT_SHARE`.
     """
-    inside, total = objects.areas_within(truth), np.count_nonzero(truth)
-    members = np.eye(len(bank), dtype=bool)
+    inside, total, count = objects.areas_within(truth), np.count_nonzero(truth), len(bank)
+    members = np.eye(count, dtype=bool)
     if bank.levels is not None and bank.group_features is not None:
-        groups = np.arange(len(bank), len(bank) + len(bank.group_features))
+        groups = np.arange(count, count + len(bank.group_features))
         members = np.concatenate([members, (bank.levels == groups[:, None, None]).any(1)])
     stats = cv2.connectedComponentsWithStats(truth.astype(np.uint8), connectivity=8)[2]
     parts = int(np.count_nonzero(stats[1:, cv2.CC_STAT_AREA] >= MIN_COMPONENT_SHARE * total))
-    chosen, best = np.zeros(len(bank), bool), 0.0
+    chosen, best = np.zeros(count, bool), 0.0
     for _ in range(parts):
         tried = members | chosen
         ious = tried @ inside / (total + tried @ (objects.areas - inside))

@@ -349,8 +349,12 @@ class _Recorder:
     ) -> None:
         heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
         predicted = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
-        painted = pictures.paint_scored(ground, heat, predicted, mask, scored.point)
-        self.pictures |= {f"{kind}/{name}": picture for kind, picture in painted.items()}
+        painted = pictures.paint_relevancy_range(heat, ground)
+        spotlit = pictures.spotlight(ground, predicted)
+        answer = pictures.draw_outline(spotlit, predicted, pictures.PREDICTED_COLOUR)
+        for kind, picture in (("relevancy", painted), ("mask", answer)):
+            outlined = pictures.draw_outline(picture, mask, pictures.TRUE_COLOUR)
+            self.pictures[f"{kind}/{name}"] = pictures.draw_point(outlined, scored.point)
 
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]

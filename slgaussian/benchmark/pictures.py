@@ -255,22 +255,6 @@ def cut_out(
     return cuts
 
 
-def paint_scored(
-    image: np.ndarray,
-    relevancy: np.ndarray,
-    predicted: np.ndarray,
-    truth: np.ndarray,
-    point: tuple[float, float] | None,
-) -> dict[str, np.ndarray]:
-    """Paint ``relevancy`` and ``mask`` of an answer, with the true outline and the point."""
-    answer = draw_outline(spotlight(image, predicted), predicted, PREDICTED_COLOUR)
-    painted = {"relevancy": paint_relevancy_range(relevancy, image), "mask": answer}
-    return {
-        kind: draw_point(draw_outline(picture, truth, TRUE_COLOUR), point)
-        for kind, picture in painted.items()
-    }
-
-
 def contact_sheet(tiles: Sequence[tuple[str, np.ndarray]], side: int, columns: int) -> np.ndarray:
     """Arrange images of any size in rows of squares, each with its caption, truncated to the width.
 

@@ -217,7 +217,8 @@ class BankReader(TextReader):
             InputError: If there is no text, or the encoder cannot use one.
         """
         _check_list(texts)
-        scorer, gaps, known = self._find_scorer(rules), np.empty((len(texts), len(self.bank))), []
+        scorer = self._scorer(self.phrases(rules), rules.absent)
+        gaps, known = np.empty((len(texts), len(self.bank))), []
         for k, (text, source) in enumerate(zip(texts, self.sources(texts), strict=True)):
             match source:
                 case "named":
@@ -234,7 +235,7 @@ class BankReader(TextReader):
 
     def appearance_gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
         """Compute the gaps float64 [Q, N] of texts without class evidence; errors as `gaps`."""
-        return self._find_scorer(rules).gaps(self.vectors(texts))
+        return self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors(texts))
 
     def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
         """Compute the relevancies float64 [Q, N] in [0, 1] of texts; errors as :meth:`gaps`."""
@@ -286,9 +287,6 @@ class BankReader(TextReader):
         describing = np.array([self._read(text)[1].describing for text in texts])[:, None]
         strength = CLASS_LEAD / (1 + DESCRIPTION_WEIGHT * describing)
         return strength * np.tanh(self.class_evidence(texts)[:, self._present] / CLASS_SCALE)
-
-    def _find_scorer(self, rules: Rules) -> Scorer:
-        return self._scorer(self.phrases(rules), rules.absent)
 
     def _make_scorer(self, phrases: tuple[str, ...], absent: str) -> Scorer:
         for phrase in phrases:

@@ -17,15 +17,8 @@ from scipy.sparse.csgraph import connected_components
 from skimage.segmentation import watershed
 
 from slgaussian.geometry import SeenView
-from slgaussian.masks.merge import (
-    Cues,
-    MergeTree,
-    adjacency,
-    build_tree,
-    leaf_sums,
-    plane_gap,
-    plane_sums,
-)
+from slgaussian.masks import merge
+from slgaussian.masks.merge import Cues, MergeTree, build_tree, leaf_sums
 
 LEAF_WINDOW = 7
 """Side in pixels of the window in which a minimum of the border strength seeds a leaf."""
@@ -105,11 +98,13 @@ def join_patterns(
     contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
     similar = contrast < COLOR_TOLERANCE
 
-    edges, borders = adjacency(regions, np.zeros(regions.shape, np.float32))
-    planes = plane_sums(regions, depth, count)
+    edges, borders = merge.adjacency(regions, np.zeros(regions.shape, np.float32))
+    planes = merge.plane_sums(regions, depth, count)
     a, b = edges.T
     usable = (np.maximum(size[a], size[b]) < MAX_ELEMENT_SHARE * regions.size) & ~similar[a, b]
-    usable[usable] = [plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]]
+    usable[usable] = [
+        merge.plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]
+    ]
     similar_size = np.maximum(size[a], size[b]) < MAX_SIZE_RATIO * np.minimum(size[a], size[b])
 
     core = usable & similar_size
