@@ -30,7 +30,7 @@ def keep_understood(reader: Reader, texts: Iterable[str]) -> list[str]:
     for text in texts:
         with suppress(InputError):
             # Readers of other packages need not have ``understood``.
-            understood = read(text) if read else reader.unknown_words(text)
+            understood: Any = read(text) if read else reader.unknown_words(text)
             if not read or understood.read_as or not understood.untold:
                 kept.append(text)
     return kept

@@ -18,7 +18,7 @@ from skimage.segmentation import watershed
 
 from slgaussian.geometry import SeenView
 from slgaussian.masks import merge
-from slgaussian.masks.merge import Cues, MergeTree, build_tree, leaf_sums
+from slgaussian.masks.merge import Cues, MergeTree, build_tree, leaf_sums, plane_gap
 
 LEAF_WINDOW = 7
 """Side in pixels of the window in which a minimum of the border strength seeds a leaf."""
@@ -103,7 +103,7 @@ def join_patterns(
     a, b = edges.T
     usable = (np.maximum(size[a], size[b]) < MAX_ELEMENT_SHARE * regions.size) & ~similar[a, b]
     usable[usable] = [
-        merge.plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]
+        plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]
     ]
     similar_size = np.maximum(size[a], size[b]) < MAX_SIZE_RATIO * np.minimum(size[a], size[b])
 
