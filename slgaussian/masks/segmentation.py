@@ -102,9 +102,7 @@ def join_patterns(
     planes = merge.plane_sums(regions, depth, count)
     a, b = edges.T
     usable = (np.maximum(size[a], size[b]) < MAX_ELEMENT_SHARE * regions.size) & ~similar[a, b]
-    usable[usable] = [
-        plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]
-    ]
+    usable[usable] = [plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]]
     similar_size = np.maximum(size[a], size[b]) < MAX_SIZE_RATIO * np.minimum(size[a], size[b])
 
     core = usable & similar_size
