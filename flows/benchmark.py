@@ -224,7 +224,7 @@ def _compute(
 
 
 def _cost(stage: Stage, outcome: Outcome) -> StageCost:
-    return StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
+    return StageCost.of([refs[stage.name].meta for refs in outcome.refs.values()])
 
 
 def find_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -263,7 +263,7 @@ def _write(
                 arrays = store.get(ref)
                 result = result_from_arrays(arrays)
                 results.append(replace(result, rows=Rows.from_rows(result.rows)))
-                answers = ({**row, "build_seconds": seconds} for row in ref.meta["costs"])
+                answers = [{**row, "build_seconds": seconds} for row in ref.meta["costs"]]
                 parts.append(Rows.from_rows(answers, "times"))
                 yield result.method, result.scene, decode_predictions(arrays)
 

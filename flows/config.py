@@ -66,7 +66,7 @@ class MethodSettings(Rules, BuildConfig):
         table = name.replace("-", "_")
         return configure(kind, getattr(self, table) if table in TABLES else name)
 
-    @property
+    @cached_property
     def components(self) -> tuple[ComponentConfig, ...]:
         """The configs of the chosen components; InputError if one is unknown."""
         return tuple(map(self.configure, KINDS))
@@ -74,7 +74,7 @@ class MethodSettings(Rules, BuildConfig):
     @cached_property
     def field_method(self) -> method.Method:
         """The method that builds a field; InputError if files cannot be read."""
-        components: dict[str, Any] = {kind: self.configure(kind) for kind in KINDS}
+        components: dict[str, Any] = dict(zip(KINDS, self.components, strict=True))
         return method.Method(**components, **dict(BuildConfig.of(self)))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from inspect import getclosurevars
 from typing import Any
 
 from flows.config import SceneSettings, Settings
@@ -23,9 +24,7 @@ from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.benchmark import attribution, baselines, benchmark
 from tasks.scene import Labels, field, geometry, ingest, masks, supervision, truth
-
-STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
-"""The stages of :func:`score_scene`, in order."""
+from tasks.stage import Stage
 
 FIELD_METHOD = "slgaussian"
 
@@ -67,6 +66,15 @@ def answer_scene(
     built = field(sample, gaussians, ids, bank, method)
     benchmark(sample, scene_truth, gaussians, ids, built, method.encoder, settings)
     return sample, scene_truth, gaussians, ids, built
+
+
+STAGES = tuple(
+    called
+    for pipeline in (answer_scene, score_scene)
+    for called in getclosurevars(pipeline).globals.values()
+    if isinstance(called, Stage)
+)
+"""The stages of :func:`score_scene`, in order."""
 
 
 def score_baseline(refs: Mapping[str, ArtifactRef], *arguments: Any) -> None:

@@ -81,7 +81,7 @@ def combinations(settings: Settings) -> list[Combination]:
         if names.count(name) > 1:
             raise InputError(f"sweep: {name!r} is named twice; give all its values at once")
     variants = []
-    for values in product(*(values for _, values in axes)):
+    for values in product(*(values for _, values in axes)) if axes else ():
         fields = dict(zip(names, values, strict=True))
         variant = _combination(settings, fields)
         if variant.views is not None or _outcome(variant.settings) != _outcome(settings):

@@ -83,12 +83,12 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
         return None
     view = field.render(next(iter(field.cameras.values())))
     candidates: list[tuple[bool, float, dict[str, Any]]] = []
-    for hit in view.query_all(list(rows_by_query)):
+    for hit in (hit for hit in view.query_all(list(rows_by_query)) if hit.found):
         rows = rows_by_query[hit.text]
         ious = [row["iou"] for row in rows]
-        if hit.found and None in ious:
+        if None in ious:
             candidates.append((False, rows[0]["score"], {"text": hit.text, "iou": None}))
-        elif hit.found and min(ious) >= GOOD_IOU and all(row["hit_mask"] for row in rows):
+        elif min(ious) >= GOOD_IOU and all(row["hit_mask"] for row in rows):
             candidates.append((True, fmean(ious), {"text": hit.text, "iou": fmean(ious)}))
     return max(candidates, key=lambda candidate: candidate[:2])[2] if candidates else None
 

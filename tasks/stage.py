@@ -172,18 +172,18 @@ class Stage:
         passed = frozenset(digests.values())
         provenance = Provenance(self.name, self.version, settings, specs, passed)
         threads.limit(run.workers)
-        compiled = compiling.spent()
-        start, worked = compiling.clock(), time.process_time()
+        compiled, start, worked = compiling.spent(), time.perf_counter(), time.process_time()
         try:
             with record_provenance(provenance):
                 ref = self.compute(run, **arguments)
         except DamagedError as error:
             run.store.remove([error.uri])  # so that its stage computes it again
             raise
+        compiled = compiling.spent() - compiled
         cost = {
-            "seconds": compiling.clock() - start,
-            "processor_seconds": time.process_time() - worked - compiling.spent() + compiled,
-            "compiling": compiling.spent() - compiled,
+            "seconds": time.perf_counter() - start - compiled,
+            "processor_seconds": time.process_time() - worked - compiled,
+            "compiling": compiled,
             "workers": run.workers,
         }
         ref = replace(ref, meta={**ref.meta, "settings": settings, "inputs": digests, **cost})

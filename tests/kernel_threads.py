@@ -9,9 +9,8 @@ from slgaussian.kernels import threads
 @contextlib.contextmanager
 def kernels_on(count: int) -> Iterator[None]:
     """Run kernels of the calling thread on ``count`` threads within the block."""
-    before = getattr(threads._local, "size", 0)
-    threads._local.size = count
+    before, threads.pool.size = threads.pool.size, count
     try:
         yield
     finally:
-        threads._local.size = before
+        threads.pool.size = before

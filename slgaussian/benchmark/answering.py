@@ -6,7 +6,8 @@ this interface.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -23,16 +24,16 @@ class Reader(Protocol):
         """Return the ignored words of ``text``; InputError if all words are unknown."""
 
 
-def understands(reader: Reader, text: str) -> bool:
-    """Tell whether any part of a text is understood; otherwise a correct answer would be chance."""
-    try:
-        reader.unknown_words(text)
-    except InputError:
-        return False
-    if not hasattr(reader, "understood"):  # readers of other packages need not have it
-        return True
-    understood = reader.understood(text)
-    return bool(understood.read_as) or not understood.untold
+def keep_understood(reader: Reader, texts: Iterable[str]) -> list[str]:
+    """Return the texts of which any part is understood; others are answered right by chance."""
+    read, kept = getattr(reader, "understood", None), []
+    for text in texts:
+        with suppress(InputError):
+            # Readers of other packages need not have ``understood``.
+            understood: Any = read(text) if read else reader.unknown_words(text)
+            if not read or understood.read_as or not understood.untold:
+                kept.append(text)
+    return kept
 
 
 @runtime_checkable

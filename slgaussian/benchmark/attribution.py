@@ -16,7 +16,7 @@ import torch
 
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
-from slgaussian.benchmark.answering import understands
+from slgaussian.benchmark.answering import keep_understood
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.benchmark.scores import GOOD_IOU
 from slgaussian.field import SemanticField
@@ -91,10 +91,11 @@ def attribute_errors(
         labels = labels.ravel()[gaussians.source.numpy()]
         drawn = members[elect(gaussians, labels, target.camera)]
         drawn = drawn if opaque is None else drawn & opaque[..., None]
+        known = keep_understood(field.reader, masks)
+        answers = ask(known, objects, field.reader, rules) if known else []
+        hits = dict(zip(known, answers, strict=True))
         for column, (query, mask) in enumerate(masks.items()):
-            hit = None
-            if understands(field.reader, query):
-                hit = ask([query], objects, field.reader, rules)[0]
+            hit = hits.get(query)
             predicted, point = (np.zeros_like(mask), None) if hit is None else (hit.mask, hit.point)
             row: dict[str, Any] = common | {"frame": target.name, "query": query}
             row |= {"iou": metrics.iou(predicted, mask), "hit": metrics.point_in_mask(point, mask)}
@@ -170,14 +171,14 @@ def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.
     Objects or groups of the bank are chosen greedily by IoU, as many as the truth bool [H, W] has
     connected components above the fraction :data:`MIN_COMPONENT_SHARE`.
     """
-    inside, total = objects.areas_within(truth), np.count_nonzero(truth)
-    members = np.eye(len(bank), dtype=bool)
+    inside, total, count = objects.areas_within(truth), np.count_nonzero(truth), len(bank)
+    members = np.eye(count, dtype=bool)
     if bank.levels is not None and bank.group_features is not None:
-        groups = np.arange(len(bank), len(bank) + len(bank.group_features))
+        groups = np.arange(count, count + len(bank.group_features))
         members = np.concatenate([members, (bank.levels == groups[:, None, None]).any(1)])
     stats = cv2.connectedComponentsWithStats(truth.astype(np.uint8), connectivity=8)[2]
     parts = int(np.count_nonzero(stats[1:, cv2.CC_STAT_AREA] >= MIN_COMPONENT_SHARE * total))
-    chosen, best = np.zeros(len(bank), bool), 0.0
+    chosen, best = np.zeros(count, bool), 0.0
     for _ in range(parts):
         tried = members | chosen
         ious = tried @ inside / (total + tried @ (objects.areas - inside))

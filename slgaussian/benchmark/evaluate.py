@@ -13,7 +13,7 @@ import numpy as np
 from slgaussian import system
 from slgaussian.benchmark import metrics, pictures
 from slgaussian.benchmark.annotations import Truth, find_boxes
-from slgaussian.benchmark.answering import Answering, AnsweringView, Result, understands
+from slgaussian.benchmark.answering import Answering, AnsweringView, Result, keep_understood
 from slgaussian.benchmark.protocols import (
     PROTOCOLS,
     Answer,
@@ -149,8 +149,7 @@ def evaluate(
     if texts := [*(text for masks in truth.masks.values() for text in masks), *queries]:
         # Answer a text untimed: then all that is computed once per scene is cached.
         view = field.render(sample.context[0].camera)
-        understood = [text for text in dict.fromkeys(texts) if understands(view.reader, text)]
-        if understood:
+        if understood := keep_understood(view.reader, dict.fromkeys(texts)):
             recorder.query(view, understood[:1])
     for target in sample.targets:
         view, seconds = _measure_time(field.render, target.camera)
@@ -310,7 +309,7 @@ class _Recorder:
         self, view: AnsweringView, rendering: float, frame: str, queries: Sequence[str]
     ) -> dict[str, Result]:
         """Query the view with the understood texts, and time it."""
-        texts = [text for text in queries if understands(view.reader, text)]
+        texts = keep_understood(view.reader, queries)
         seconds: dict[str, float | None] = {"view_seconds": None, "query_seconds": None}
         hits: Sequence[Result] = []
         if texts:

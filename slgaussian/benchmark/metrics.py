@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,6 +31,11 @@ def boundary_iou(predicted: np.ndarray, truth: np.ndarray) -> float:
         return mask & (cv2.erode(mask.view(np.uint8), square, **border) == 0)
 
     return iou(rim(predicted), rim(truth))
+
+
+def overlap(predicted: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
+    """Compute :func:`iou` and :func:`boundary_iou`, by name."""
+    return {"iou": iou(predicted, truth), "boundary_iou": boundary_iou(predicted, truth)}
 
 
 def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float | None]:

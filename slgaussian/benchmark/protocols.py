@@ -132,9 +132,9 @@ class ScoringProtocol:
     score_query: Callable[[Frame, int, MaskSettings], Scored]
     scores_masks: bool = True
 
-    @property
+    @cached_property
     def label(self) -> str:
-        """Return the name in rows and tables: ``name@version``."""
+        """The name in rows and tables: ``name@version``."""
         return f"{self.name}@{self.version}"
 
     def score(self, frame: Frame, settings: MaskSettings) -> list[Scored]:
@@ -146,13 +146,9 @@ class ScoringProtocol:
         ]
 
 
-def _overlap(mask: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
-    return {"iou": metrics.iou(mask, truth), "boundary_iou": metrics.boundary_iou(mask, truth)}
-
-
 def _slgaussian(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     answer, truth = frame.answers[k], frame.masks[k]
-    scores = _overlap(answer.mask, truth) | {"class_iou": frame.class_ious[k]}
+    scores = metrics.overlap(answer.mask, truth) | {"class_iou": frame.class_ious[k]}
     if answer.point is not None or not frame.external:
         scores["hit_mask"] = metrics.point_in_mask(answer.point, truth)
         scores["hit_box"] = metrics.point_in_boxes(answer.point, frame.boxes[k])
@@ -175,7 +171,7 @@ def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
         scores["hit_peak"] = metrics.any_in_boxes(peak, boxes)
     if point is not None or not frame.external:
         scores["hit_box"] = metrics.point_in_boxes(point, boxes)
-    return Scored(_overlap(mask, truth) | scores, mask, point)
+    return Scored(metrics.overlap(mask, truth) | scores, mask, point)
 
 
 def _highest_pixel(frame: Frame, k: int, settings: MaskSettings) -> Scored:

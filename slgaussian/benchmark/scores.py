@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from sys import intern
 from typing import Any, NamedTuple, Self
 
@@ -72,8 +72,8 @@ class Rows(Sequence[Row]):
         return int(self.table.num_rows)
 
     def __iter__(self) -> Iterator[Row]:
-        for batch in self.table.to_batches(max_chunksize=BATCH):
-            yield from batch.to_pylist()
+        batches = self.table.to_batches(max_chunksize=BATCH)
+        return chain.from_iterable(map(pa.RecordBatch.to_pylist, batches))
 
     def __getitem__(self, index: Any) -> Any:
         return self.table.slice(index, 1).to_pylist()[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,14 +47,14 @@ class Relative:
         """Return the geometry with reference and source exchanged."""
         return Relative(self.K_src, self.K_ref, self.R.T, -transform(self.t, self.R.T))
 
-    @property
+    @cached_property
     def infinity(self) -> np.ndarray:
-        """Return the homography [3, 3] of points at infinity, reference to source pixels."""
+        """The homography [3, 3] of points at infinity, reference to source pixels."""
         return product(product(self.K_src, self.R), np.linalg.inv(self.K_ref))
 
-    @property
+    @cached_property
     def epipole(self) -> np.ndarray:
-        """Return the homogeneous shift [3] of a pixel in the source per unit of inverse depth."""
+        """The homogeneous shift [3] of a pixel in the source per unit of inverse depth."""
         return transform(self.t, self.K_src)
 
     def project(

@@ -38,7 +38,14 @@ LARGE_NETWORK_THREADS = 4
 """Number of threads inside a large network, whatever the number of cores: with fewer cores it costs
 no more CPU time than one thread."""
 
-_local = threading.local()
+
+class Pool(threading.local):
+    """Number of threads for kernels of the calling thread: ``size``, by default all cores."""
+
+    size = cores()
+
+
+pool = Pool()
 
 
 class Sources(NamedTuple):
@@ -97,15 +104,10 @@ def limit(workers: int = 1) -> int:
     import cv2
     import torch
 
-    size = _local.size = max(1, cores() // max(1, workers))
+    size = pool.size = max(1, cores() // max(1, workers))
     torch.set_num_threads(size)
     cv2.setNumThreads(size)
     return size
-
-
-def count_threads() -> int:
-    """Return the number of threads for kernels of the calling thread, by default all cores."""
-    return getattr(_local, "size", 0) or cores()
 
 
 @contextlib.contextmanager

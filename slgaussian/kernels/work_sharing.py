@@ -46,10 +46,10 @@ def take(typing, counter):
 def share(kernel: Callable[..., Any], portions: int, *args: Any) -> None:
     """Run ``kernel(counter, *args)`` on several threads until its ``portions`` are done.
 
-    The calling thread is one of :func:`slgaussian.kernels.threads.count_threads` threads.
+    The calling thread is one of :class:`slgaussian.kernels.threads.Pool` ``.size`` threads.
     """
     counter = np.zeros(1, np.int64)
-    count = min(threads.count_threads(), portions) - 1
+    count = min(threads.pool.size, portions) - 1
     helpers = [_pool().submit(copy_context().run, kernel, counter, *args) for _ in range(count)]
     try:
         kernel(counter, *args)

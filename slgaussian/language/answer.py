@@ -213,7 +213,7 @@ class QueryResult:
         summary = f"{mask:.2f} that the mask is right, {point:.2f} that the point is"
         return f"{self.verdict}: {summary}{self.understood.alone}"
 
-    @property
+    @cached_property
     def point(self) -> tuple[int, int] | None:
         """Column and row (x, y) of the most likely pixel of the object.
 
@@ -248,8 +248,8 @@ def ask(
     visible = np.flatnonzero(image.areas)
     uncalibrated = _missing_calibration(reader.encoder, rules)
     calibration = None if uncalibrated else reader.encoder.calibration
-    answers = []
-    for text, gap, choice in zip(texts, gaps, chosen, strict=True):
+    answers, scores = [], sigmoid(rules.temperature * gaps)
+    for text, gap, choice, relevancies in zip(texts, gaps, chosen, scores, strict=True):
         understood, confidence = reader.understood(text), None
         ranked = visible[np.argsort(-gap[visible], kind="stable")]
         ranked = ranked[gap[ranked] > -np.inf]
@@ -263,7 +263,7 @@ def ask(
         answers.append(
             QueryResult(
                 text=text,
-                scores=sigmoid(rules.temperature * gap),
+                scores=relevancies,
                 understood=understood,
                 ids=reader.bank.ids,
                 ranked=ranked,
@@ -309,7 +309,7 @@ def choose(
     best = gaps.max(1, where=areas > 0, initial=-np.inf, keepdims=True)
     chosen = near_best(gaps, best, rules.share)
     ranking = None if _missing_calibration(reader.encoder, rules) else reader.encoder.ranking
-    known = [k for k, text in enumerate(texts) if reader.source(text) == "known"]
+    known = [k for k, source in enumerate(reader.sources(texts)) if source == "known"]
     if known and reader.bank.wholes and ranking:
         found = find_candidates([texts[k] for k in known], gaps[known], areas, reader, rules)
         chosen[known] = found.best(ranking)
@@ -322,7 +322,7 @@ def find_candidates(
     """Compute the candidate answers to texts of known words; arguments as :func:`choose`."""
     assert reader.bank.wholes is not None
     plain = np.where(gaps > -np.inf, reader.appearance_gaps(texts, rules), -np.inf)
-    evidence = np.stack([reader.class_evidence(text)[: len(reader.bank)] for text in texts])
+    evidence = reader.class_evidence(texts)[:, : len(reader.bank)]
     return reader.bank.wholes.candidates(plain, evidence, areas, rules.share)
 
 

@@ -206,6 +206,8 @@ class BankReader(TextReader):
         self._named: dict[str, list[int]] = {}
         for id_, name in (names or {}).items():
             self._named.setdefault(unify_spelling(name), []).append(id_)
+        taught_by_spelling = dict.fromkeys(self._taught.lessons, "taught")
+        self._sources = taught_by_spelling | dict.fromkeys(self._named, "named")
         self._scorer = lru_cache(4)(self._make_scorer)
 
     def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
@@ -215,9 +217,10 @@ class BankReader(TextReader):
             InputError: If there is no text, or the encoder cannot use one.
         """
         _check_list(texts)
-        scorer, gaps, known = self._find_scorer(rules), np.empty((len(texts), len(self.bank))), []
-        for k, text in enumerate(texts):
-            match self.source(text):
+        scorer = self._scorer(self.phrases(rules), rules.absent)
+        gaps, known = np.empty((len(texts), len(self.bank))), []
+        for k, (text, source) in enumerate(zip(texts, self.sources(texts), strict=True)):
+            match source:
                 case "named":
                     named = np.isin(self.bank.ids, self._named[unify_spelling(text)])
                     gaps[k] = np.where(named, NAME_GAP, -NAME_GAP)
@@ -227,38 +230,39 @@ class BankReader(TextReader):
                     known.append(k)
         if known:
             encoded = [texts[k] for k in known]
-            leads = np.stack([self._class_leads(text) for text in encoded])
-            gaps[known] = scorer.gaps(self.vectors(encoded), leads)
+            gaps[known] = scorer.gaps(self.vectors(encoded), self._class_leads(encoded))
         return gaps
 
     def appearance_gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
         """Compute the gaps float64 [Q, N] of texts without class evidence; errors as `gaps`."""
-        return self._find_scorer(rules).gaps(self.vectors(texts))
+        return self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors(texts))
 
     def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
         """Compute the relevancies float64 [Q, N] in [0, 1] of texts; errors as :meth:`gaps`."""
         return sigmoid(rules.temperature * self.gaps(texts, rules))
 
-    def class_evidence(self, text: str) -> np.ndarray:
-        """Compute the evidence for the noun's classes in ``bank.nodes``, float64 [M, V], in nats.
+    def class_evidence(self, texts: Sequence[str]) -> np.ndarray:
+        """Compute the evidence for nouns' classes in ``bank.nodes``, float64 [Q, M, V], in nats.
 
-        See :func:`slgaussian.language.classifier.evidence`; zeros if the noun has no classes or
-        nothing was classified. InputError if the text cannot be used.
+        See :func:`slgaussian.language.classifier.evidence`; zeros if a noun has no classes or
+        nothing was classified. InputError if a text cannot be used.
         """
-        bank, classes = self.bank, self._read(text)[1].classes
-        if not classes or bank.class_scores is None or bank.photograph_scores is None:
-            return np.zeros(self._present.shape)
-        return evidence(bank.class_scores, bank.photograph_scores, classes)
+        bank, found = self.bank, np.zeros((len(texts), *self._present.shape))
+        if bank.class_scores is not None and bank.photograph_scores is not None:
+            for k, text in enumerate(texts):
+                if classes := self._read(text)[1].classes:
+                    found[k] = evidence(bank.class_scores, bank.photograph_scores, classes)
+        return found
 
-    def source(self, text: str) -> str:
-        """Return what answers: ``named`` before ``taught`` before ``known``, by the encoder."""
-        if unify_spelling(text) in self._named:
-            return "named"
-        return "taught" if text in self._taught else "known"
+    def sources(self, texts: Sequence[str]) -> list[str]:
+        """Return what answers each: ``named``, else ``taught``, else ``known``, by the encoder."""
+        if not self._sources:
+            return ["known"] * len(texts)
+        return [self._sources.get(unify_spelling(text), "known") for text in texts]
 
     def understood(self, text: str) -> Understood:
         """Return the reading of ``text``; InputError if neither encoder nor examples can use it."""
-        source = self.source(text)
+        (source,) = self.sources([text])
         if source == "known":
             return super().understood(text)
         try:
@@ -278,14 +282,11 @@ class BankReader(TextReader):
             read = replace(read, named=likeliest - NEUTRAL_LOG_PROBABILITY)
         return vector, read
 
-    def _class_leads(self, text: str) -> np.ndarray:
-        """Compute the leads of a text from class evidence, float64 [P]; zero without classes."""
-        strength = CLASS_LEAD / (1 + DESCRIPTION_WEIGHT * self._read(text)[1].describing)
-        leads = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
-        return np.asarray(leads[self._present])
-
-    def _find_scorer(self, rules: Rules) -> Scorer:
-        return self._scorer(self.phrases(rules), rules.absent)
+    def _class_leads(self, texts: Sequence[str]) -> np.ndarray:
+        """Compute the leads of texts by class evidence, float64 [Q, P]; zero without classes."""
+        describing = np.array([self._read(text)[1].describing for text in texts])[:, None]
+        strength = CLASS_LEAD / (1 + DESCRIPTION_WEIGHT * describing)
+        return strength * np.tanh(self.class_evidence(texts)[:, self._present] / CLASS_SCALE)
 
     def _make_scorer(self, phrases: tuple[str, ...], absent: str) -> Scorer:
         for phrase in phrases:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slgaussian.kernels.threads import count_threads
+from slgaussian.kernels import threads
 
 if TYPE_CHECKING:
     from slgaussian.gaussians import Gaussians
@@ -63,7 +63,7 @@ def fill_from_other_views(labels: np.ndarray, gaussians: Gaussians) -> np.ndarra
         reach = np.maximum(MAX_MATCH_DISTANCE * widths[firsts[inner]], 1e-12)
         tree, queries = cKDTree(means[firsts[outer]]), means[firsts[inner]]
         distance, match = tree.query(
-            queries, distance_upper_bound=reach.max(), workers=count_threads()
+            queries, distance_upper_bound=reach.max(), workers=threads.pool.size
         )
         matched = distance < reach
         filled.ravel()[owners[inner[matched]]] = labels.ravel()[owners[outer[match[matched]]]]

@@ -19,7 +19,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -122,19 +122,19 @@ class Spec:
     columns: Mapping[str, Entry] = field(default_factory=dict)
     keys: Mapping[str, Entry] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def label(self) -> str:
         """Name of the spec in a file."""
         return f"{OWNER}/{self.name}@{self.version}"
 
-    @property
+    @cached_property
     def suffix(self) -> str:
         """File name ending of the artifact."""
         if self.keys:
             return ".json"
         return ".parquet" if self.columns else ".npz"
 
-    @property
+    @cached_property
     def schema(self) -> pa.Schema:
         """Arrow schema of a table spec, with its metadata."""
         import pyarrow as pa

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from implicit_solids import implicit_value
 
-from slgaussian.datasets.procedural import names, reader
+from slgaussian.datasets.procedural import reader, rooms
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 from tests.kernel_threads import kernels_on
@@ -64,10 +64,10 @@ def test_phrases_use_the_vocabulary_and_are_unambiguous(seed):
     looks = set()
     for phrase in phrases:
         *adjectives, noun = words = phrase.split()
-        assert set(words) <= names.VOCABULARY
-        assert noun in names.SHAPES or noun in names.STUFF
-        assert not set(adjectives) - {*names.COLOURS, *names.PATTERNS, *names.MATERIALS}
-        looks.add((names.look(phrase), noun))
+        assert set(words) <= rooms.VOCABULARY
+        assert noun in rooms.SHAPES or noun in rooms.STUFF
+        assert not set(adjectives) - {*rooms.COLOURS, *rooms.PATTERNS, *rooms.MATERIALS}
+        looks.add((rooms.find_look(phrase), noun))
     assert len(looks) == len(phrases)
 
 

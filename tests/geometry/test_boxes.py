@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.geometry.boxes import upright_box
+from slgaussian.objects import upright_box
 
 
 def turn_axes(angle: float, up: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slgaussian.kernels.jit import kernel
-from slgaussian.kernels.threads import cores, count_threads
+from slgaussian.kernels.threads import cores, pool
 from slgaussian.kernels.work_sharing import share, share_items, take
 from tests.kernel_threads import kernels_on
 
@@ -96,15 +96,15 @@ def test_share_raises_the_error_of_a_helper():
 
 
 def test_allotted_threads_are_of_the_calling_thread_alone():
-    before = count_threads()
+    before = pool.size
     with kernels_on(before + 3):
         view = []
-        second = threading.Thread(target=lambda: view.append(count_threads()))
+        second = threading.Thread(target=lambda: view.append(pool.size))
         second.start()
         second.join()
         assert view == [cores()]
-        assert count_threads() == before + 3
-    assert count_threads() == before
+        assert pool.size == before + 3
+    assert pool.size == before
 
 
 def _share_in_fork(connection) -> None:

@@ -27,7 +27,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from slgaussian.datasets.procedural.names import VOCABULARY as PROCEDURAL_WORDS
+from slgaussian.datasets.procedural.rooms import VOCABULARY as PROCEDURAL_WORDS
 from slgaussian.errors import InputError
 from slgaussian.geometry.room import Surroundings
 from slgaussian.language import colours

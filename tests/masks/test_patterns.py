@@ -3,7 +3,7 @@ import pytest
 from drawn_views import SIZE, canvas, paste, view
 
 from slgaussian.geometry import SeenView
-from slgaussian.masks.patterns import join_patterns
+from slgaussian.masks.segmentation import join_patterns
 
 FLOOR, RED, WHITE, BLUE = (150, 140, 90), (200, 40, 40), (235, 235, 235), (40, 60, 190)
 

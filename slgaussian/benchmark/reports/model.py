@@ -59,6 +59,12 @@ class Cell:
         """Return the value and the small print in one line."""
         return f"{self.value} ({self.below})" if self.below else self.value
 
+    def as_markdown(self) -> str:
+        """Return the cell in Markdown: the best value bold, words for better and worse."""
+        value = f"**{escape(self.value)}**" if self.mark == "best" else escape(self.value)
+        below = f" ({escape(self.below)})" if self.below else ""
+        return f"{value}{below}{f' {self.mark}' if self.mark in ('better', 'worse') else ''}"
+
 
 @dataclass
 class Table:
@@ -98,6 +104,14 @@ class Table:
         if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(rows) <= len(titles):
             return table_text(zip(*rows, strict=True), wrap=False)
         return text
+
+    def as_markdown(self) -> str:
+        """Return head and rows in Markdown, a line each."""
+        sides = ["---" if column.is_text else "---:" for column in self.columns]
+        heads = [escape(column.title) for column in self.columns]
+        rows = [heads, *([cell.as_markdown() for cell in row] for row in self.rows)]
+        head, *lines = ["|" + "".join(f" {cell} |" for cell in row) for row in rows]
+        return "\n".join([head, f"|{'|'.join(sides)}|", *lines])
 
 
 def values_table(tree: Mapping[str, Any], title: str = "") -> Table:
@@ -275,6 +289,5 @@ def _template(name: str) -> jinja2.Template:
     )
     inline = MarkdownIt("commonmark", {"html": False})
     environment.filters["cell"] = escape
-    environment.filters["kind"] = lambda block: type(block).__name__.lower()
     environment.filters["prose"] = lambda text: Markup(inline.renderInline(text))
     return environment.get_template(name)

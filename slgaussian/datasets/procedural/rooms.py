@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slgaussian.datasets.procedural import names, raycast, textures
-from slgaussian.datasets.procedural.raycast import BOX, Solid
+from slgaussian.datasets.procedural import raycast, textures
+from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING, Solid
 from slgaussian.datasets.procedural.shading import Light
-from slgaussian.datasets.procedural.textures import Material
+from slgaussian.datasets.procedural.textures import RGB, Material
 from slgaussian.errors import InputError
+from slgaussian.formats.colour import decode_srgb
 from slgaussian.scene import Camera
 
 MAX_OBJECTS = 16
@@ -28,6 +29,43 @@ _CARPET_THICKNESS = 0.012
 _MIN_VISIBLE_SHARE = 0.0035  # smallest fraction of each end view that an object must fill
 
 FOCUS = np.array([0.0, 0.15, 0.45])  # the point at which the cameras look
+
+COLOURS = {
+    "red": (0.76, 0.12, 0.13),
+    "orange": (0.94, 0.48, 0.08),
+    "yellow": (0.95, 0.80, 0.16),
+    "green": (0.15, 0.55, 0.24),
+    "blue": (0.13, 0.30, 0.73),
+    "purple": (0.46, 0.20, 0.62),
+    "pink": (0.94, 0.56, 0.70),
+    "brown": (0.42, 0.25, 0.14),
+    "black": (0.11, 0.11, 0.12),
+    "white": (0.92, 0.92, 0.90),
+    "grey": (0.52, 0.52, 0.53),
+    "beige": (0.83, 0.74, 0.58),
+}
+"""Basic colour names, each with the sRGB colour that is jittered for an object."""
+
+PATTERNS = ("striped", "checked", "dotted", "speckled")
+"""Patterns in two colours, named after the main one."""
+
+MATERIALS = ("wooden", "marble", "brick", "gravel", "grass")
+"""Materials that replace the colour in a name."""
+
+SHAPES = {"ball": BALL, "box": BOX, "cylinder": CYLINDER, "cone": CONE, "ring": RING}
+STUFF = ("floor", "wall", "ceiling", "carpet", "table", "picture")
+
+VOCABULARY = frozenset((*COLOURS, *PATTERNS, *MATERIALS, *SHAPES, *STUFF))
+"""Every word that a phrase can contain."""
+
+# Dominant colour of a material: a room must not have both a "brown box" and a "wooden box".
+_LOOKS = {"wooden": "brown", "marble": "white", "brick": "red", "gravel": "grey", "grass": "green"}
+_PAINTS = {
+    "wooden": (textures.WOODEN, (0.66, 0.43, 0.24), (0.47, 0.28, 0.14), 0.0, 0.06),
+    "marble": (textures.MARBLE, (0.9, 0.9, 0.89), (0.5, 0.52, 0.56), 0.35, 0.05),
+    "brick": (textures.BRICK, (0.62, 0.27, 0.2), (0.72, 0.69, 0.65), 0.08, 0.0),
+}  # pattern, two sRGB colours, constant cell size if any, gloss
+_TINTS = {"gravel": (0.56, 0.55, 0.53), "grass": (0.35, 0.52, 0.20)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,21 +174,21 @@ def _desaturate(material: Material) -> Material:
 
 def _shell(rng: np.random.Generator, used_looks: set[tuple[str, str]]) -> list[Thing]:
     """Make floor, ceiling, back wall and, as one object, side walls and the wall behind cameras."""
-    look, material = names.look, names.material
     floor, back = str(rng.choice(_FLOORS)), str(rng.choice(_WALLS))
-    side = str(rng.choice([w for w in _WALLS if look(w) != look(back) and w != "brick"]))
+    side = str(rng.choice([w for w in _WALLS if find_look(w) != find_look(back) and w != "brick"]))
     middle, depth, half, t = (_BACK + _FRONT) / 2, (_BACK - _FRONT) / 2, _HEIGHT / 2, 0.1
-    used_looks.update({("floor", look(floor)), ("wall", look(back)), ("wall", look(side))})
+    surfaces = ("floor", floor), ("wall", back), ("wall", side)
+    used_looks.update((surface, find_look(words)) for surface, words in surfaces)
     below = Solid(BOX, (_WIDTH, depth, t), (0, middle, -t))
     above = Solid(BOX, (_WIDTH, depth, t), (0, middle, _HEIGHT + t))
     ends = [Solid(BOX, (_WIDTH, t, half), (0, y, half)) for y in (_BACK + t, _FRONT - t)]
     sides = [Solid(BOX, (t, depth, half), (x, middle, half)) for x in (-_WIDTH - t, _WIDTH + t)]
-    tiles = material(rng, floor, 0.35 if floor == "checked" else 0.16)
+    tiles = make_material(rng, floor, 0.35 if floor == "checked" else 0.16)
     return [
         Thing(f"{floor} floor", replace(tiles, gloss=0.03), (below,)),
-        Thing("white ceiling", material(rng, "white", 1.0), (above,)),
-        Thing(f"{back} wall", _desaturate(material(rng, back, 0.9)), (ends[0],)),
-        Thing(f"{side} wall", _desaturate(material(rng, side, 0.9)), (*sides, ends[1])),
+        Thing("white ceiling", make_material(rng, "white", 1.0), (above,)),
+        Thing(f"{back} wall", _desaturate(make_material(rng, back, 0.9)), (ends[0],)),
+        Thing(f"{side} wall", _desaturate(make_material(rng, side, 0.9)), (*sides, ends[1])),
     ]
 
 
@@ -209,7 +247,7 @@ class _Ground:
 def _carpet(
     rng: np.random.Generator, ground: _Ground, floor: Thing, used_looks: set[tuple[str, str]]
 ) -> Thing:
-    below = names.look(floor.phrase)
+    below = find_look(floor.phrase)
     colours = [c for c in ("red", "blue", "green", "purple", "orange", "beige") if c != below]
     words = str(rng.choice(colours))
     if rng.random() < 0.4:
@@ -223,8 +261,8 @@ def _carpet(
     solid = Solid(
         BOX, (a, b, _CARPET_THICKNESS / 2), (x, y, _CARPET_THICKNESS / 2), _rotate_z(angle)
     )
-    used_looks.add(("carpet", names.look(words)))
-    return Thing(f"{words} carpet", replace(names.material(rng, words, 0.16), gloss=0.0), (solid,))
+    used_looks.add(("carpet", find_look(words)))
+    return Thing(f"{words} carpet", replace(make_material(rng, words, 0.16), gloss=0.0), (solid,))
 
 
 def _table(rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str, str]]) -> Thing:
@@ -242,13 +280,13 @@ def _table(rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str,
         dx, dy, _ = (turn @ [sx * (a - 2 * leg), sy * (b - 2 * leg), 0]).tolist()
         solids.append(Solid(BOX, (leg, leg, reach), (x + dx, y + dy, reach), turn))
     ground.table = _Place((x, y), angle, (a, b), height, [])
-    used_looks.add(("table", names.look(words)))
-    return Thing(f"{words} table", names.material(rng, words, 0.4), tuple(solids))
+    used_looks.add(("table", find_look(words)))
+    return Thing(f"{words} table", make_material(rng, words, 0.4), tuple(solids))
 
 
 def _picture(rng: np.random.Generator) -> Thing:
     half = float(rng.uniform(0.26, 0.36))
-    frame = names.jitter(rng, names.COLOURS[str(rng.choice(["black", "white", "brown"]))])
+    frame = jitter(rng, COLOURS[str(rng.choice(["black", "white", "brown"]))])
     photo = str(rng.choice(textures.PHOTOS[2:]))
     x, z = rng.uniform((-1.0, 1.35), (1.0, 1.5)).tolist()
     material = Material(textures.PICTURE, frame, frame, photo=photo, gloss=0.02)
@@ -262,15 +300,15 @@ def _object(
 
     Returns the object, its shape and look, its surface and circle, and its top.
     """
-    shape = str(rng.choice(list(names.SHAPES)))
+    shape = str(rng.choice(list(SHAPES)))
     draw = rng.random()
     if draw < 0.2 and shape in ("box", "cylinder"):
-        words = str(rng.choice([m for m in names.MATERIALS if (shape, m) != ("cylinder", "brick")]))
+        words = str(rng.choice([m for m in MATERIALS if (shape, m) != ("cylinder", "brick")]))
     else:
-        words = str(rng.choice(list(names.COLOURS)))
+        words = str(rng.choice(list(COLOURS)))
         if draw > 0.55:
-            words += " " + str(rng.choice(names.PATTERNS))
-    key = shape, names.look(words)
+            words += " " + str(rng.choice(PATTERNS))
+    key = shape, find_look(words)
     if key in used_looks:
         return None
     scale = float(rng.uniform(0.15, 0.31))
@@ -298,9 +336,9 @@ def _object(
         size, lift = (scale - tube, tube), tube
         if rng.random() >= 0.5:  # standing, its axis level and roughly towards the cameras
             turn, lift = _rotate_z(float(rng.uniform(-0.7, 0.7))) @ _QUARTER_TURN, scale
-    solid = Solid(names.SHAPES[shape], tuple(size), (x, y, place.z + lift), turn)
+    solid = Solid(SHAPES[shape], tuple(size), (x, y, place.z + lift), turn)
     cell = {"striped": 0.3, "checked": 0.38, "dotted": 0.42}.get(words.split(" ")[-1], 1.0) * scale
-    thing = Thing(f"{words} {shape}", names.material(rng, words, cell), (solid,))
+    thing = Thing(f"{words} {shape}", make_material(rng, words, cell), (solid,))
     return thing, key, place, (x, y, scale), top
 
 
@@ -310,3 +348,38 @@ _QUARTER_TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotates local 
 def _rotate_z(angle: float) -> np.ndarray:
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+
+
+def make_material(rng: np.random.Generator, words: str, cell: float) -> Material:
+    """Make the material of ``words``: a colour, a colour and a pattern, or a material."""
+    colour, _, pattern = words.partition(" ")
+    if colour in _PAINTS:
+        kind, light, dark, size, gloss = _PAINTS[colour]
+        return Material(kind, jitter(rng, light), jitter(rng, dark), size or cell, gloss=gloss)
+    if colour in _TINTS:
+        tint = jitter(rng, _TINTS[colour])
+        return Material(textures.PHOTO, tint, cell=max(cell, 0.9), photo=colour, gloss=0.0)
+    if colour == "checked":  # of a floor: black and white tiles
+        black, white = jitter(rng, (0.2, 0.2, 0.21)), jitter(rng, COLOURS["white"])
+        return Material(textures.CHECKED, white, black, cell, gloss=0.1)
+    second = "white" if colour not in ("white", "beige", "yellow", "grey") else "black"
+    return Material(
+        pattern=getattr(textures, pattern.upper()) if pattern else textures.PLAIN,
+        first=jitter(rng, COLOURS[colour]),
+        second=jitter(rng, COLOURS[second]),
+        cell=0.03 if pattern == "speckled" else cell,
+        gloss=float(rng.choice([0.02, 0.12, 0.3])),
+    )
+
+
+def jitter(rng: np.random.Generator, srgb: RGB) -> RGB:
+    """Return a linear colour near an sRGB colour, with random lightness and hue."""
+    values = np.clip(np.array(srgb) * rng.uniform(0.94, 1.05) + rng.normal(0, 0.008, 3), 0.02, 0.97)
+    r, g, b = decode_srgb(values).tolist()
+    return r, g, b
+
+
+def find_look(words: str) -> str:
+    """Return the basic colour of ``words``, to keep objects distinguishable."""
+    first = words.split(" ")[0]
+    return _LOOKS.get(first, first)
