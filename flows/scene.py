@@ -74,7 +74,7 @@ STAGES = tuple(
     for called in getclosurevars(pipeline).globals.values()
     if isinstance(called, Stage)
 )
-"""The stages of :func:`score_scene`, in order."""
+"""The stages that :func:`score_scene` calls, in order."""
 
 
 def score_baseline(refs: Mapping[str, ArtifactRef], *arguments: Any) -> None:

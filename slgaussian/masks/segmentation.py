@@ -34,7 +34,7 @@ CUES = (
 """Cues of three complementary trees: objects; even growth without colour, for objects of many
 colours; compact regions, of which small ones survive long."""
 
-COLOR_TOLERANCE = 12.0
+COLOUR_TOLERANCE = 12.0
 """CIELAB distance of median colours below which the colours of two elements are equal."""
 MAX_SIZE_RATIO = 2.5
 """Largest ratio of the areas of adjacent elements, except where an outline cuts one."""
@@ -94,9 +94,9 @@ def join_patterns(
     size = np.bincount(index, minlength=count)
     # Medians: up to half of a small element's pixels can be blurred with its surroundings.
     pixels = lab[inside][np.argsort(index, kind="stable")]
-    color = np.array([np.median(part, 0) for part in np.split(pixels, np.cumsum(size)[:-1])])
-    contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
-    similar = contrast < COLOR_TOLERANCE
+    colour = np.array([np.median(part, 0) for part in np.split(pixels, np.cumsum(size)[:-1])])
+    contrast = np.linalg.norm(colour[:, None] - colour[None], axis=-1)
+    similar = contrast < COLOUR_TOLERANCE
 
     edges, borders = merge.adjacency(regions, np.zeros(regions.shape, np.float32))
     planes = merge.plane_sums(regions, depth, count)
