@@ -76,7 +76,7 @@ def label_places(
         if labels is None:
             place = LABELS[format].format(scene=name)
         else:
-            place = name if format in datasets.SETS else ""
+            place = name if options else ""  # of a folder of several scenes
         if ((labels or data) / place).is_dir():
             yield name, options, place
 

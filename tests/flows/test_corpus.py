@@ -1,5 +1,6 @@
 """A corpus of chunks: new files are read once, and damaged ones cost no others."""
 
+import hashlib
 import os
 import re
 import shutil
@@ -66,8 +67,6 @@ TIMED = ("log.",)
 @pytest.fixture
 def reads(monkeypatch):
     """Count how often chunks are ``hashed`` and ``opened``, and samples ``predicted``."""
-    from tasks import chunks
-
     counts, load = Counter(), ComponentConfig.load
 
     def count(name, function):
@@ -81,8 +80,7 @@ def reads(monkeypatch):
         output = load(part, *args)
         return count("predicted", output) if part.kind == "predictor" else output
 
-    digest = count("hashed", chunks.hashlib.file_digest)
-    monkeypatch.setattr(chunks.hashlib, "file_digest", digest)
+    monkeypatch.setattr(hashlib, "file_digest", count("hashed", hashlib.file_digest))
     monkeypatch.setattr(re10k, "read_chunk", count("opened", re10k.read_chunk))
     monkeypatch.setattr(ComponentConfig, "load", load_counted)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError
 from slgaussian.formats.spz import pack_quats, save_spz
 from slgaussian.gaussians import Gaussians, rotation_matrices
-from slgaussian.rasterize.harmonics import colors
+from slgaussian.rasterize.harmonics import compute_colours
 from slgaussian.scene import Camera
 from tests.formats.spz_reader import load_spz, unpack_quats
 
@@ -72,7 +72,7 @@ def test_spz_turns_harmonics_with_the_axes(tmp_path):
     save_spz(gaussians, tmp_path / "a.spz")
     restored = load_spz(tmp_path / "a.spz")
     cam = Camera(np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(4), 64, 48)
-    assert (colors(gaussians, cam) - colors(restored, cam)).abs().max() < 0.35
+    assert (compute_colours(gaussians, cam) - compute_colours(restored, cam)).abs().max() < 0.35
     data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
     stored = np.frombuffer(data, np.uint8)[16 + 20 * 20 :].reshape(20, 15, 3)
     # Degree 1 holds y, z and x: the first two are turned.

@@ -10,7 +10,7 @@ from scipy.special import sph_harm_y
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize.harmonics import BANDS, colors, evaluate_sh, rotation_matrix
+from slgaussian.rasterize.harmonics import BANDS, compute_colours, evaluate_sh, rotation_matrix
 from slgaussian.scene import Camera
 from tests import pinhole
 from tests.rasterize.hard_cases import splats
@@ -63,7 +63,7 @@ def test_colors_are_half_plus_the_harmonics_of_the_direction(count):
     expected = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, splats.sh.double().numpy()))
     assert (expected == 0).any()  # the clamp is part of what is compared
     # Float32 noise, measured on 4,000 Gaussians: at most 9e-7, in sums of 16 products.
-    np.testing.assert_allclose(colors(splats, camera(eye)), expected, atol=2e-6)
+    np.testing.assert_allclose(compute_colours(splats, camera(eye)), expected, atol=2e-6)
 
 
 def test_rotation_matrix_equals_harmonics_of_rotated_directions():
@@ -87,7 +87,7 @@ def test_colors_gradients_equal_finite_differences(count):
     )  # small, so that no colour is at the clamp
 
     def run(means, sh):
-        return colors(make_gaussians(means, sh), camera((0.1, 0.2, 0.3)))
+        return compute_colours(make_gaussians(means, sh), camera((0.1, 0.2, 0.3)))
 
     assert (run(splats.means, splats.sh) > 0).all()
     inputs = (splats.means.requires_grad_(), splats.sh.requires_grad_())
@@ -100,7 +100,7 @@ def test_colors_of_a_mean_at_the_camera_are_plain_with_finite_gradients():
     splats.means[1] = torch.tensor([0.5, 0.25, 2.0])
     splats.means.requires_grad_()
     splats.sh.requires_grad_()
-    view = colors(splats, camera((0.5, 0.25, 2.0)))
+    view = compute_colours(splats, camera((0.5, 0.25, 2.0)))
     assert torch.equal(view[1], splats.colours()[1])
     view.sum().backward()
     assert splats.means.grad.isfinite().all()
@@ -116,7 +116,10 @@ def test_colors_keep_directions_a_million_units_away():
     splats.means[:] = (splats.means * 8).round() / 8
     far = make_gaussians(splats.means + 1e6, splats.sh)
     eye = np.array([0.321, 0.123, 0.777])
-    near_seen, far_seen = colors(splats, camera(eye)), colors(far, camera(eye + 1e6))
+    near_seen, far_seen = (
+        compute_colours(splats, camera(eye)),
+        compute_colours(far, camera(eye + 1e6)),
+    )
     # float64 keeps 1e-10 of a unit at a million; to lose the thousandths would change 0.1.
     np.testing.assert_allclose(far_seen, near_seen, atol=1e-6)
 
@@ -125,4 +128,4 @@ def test_colors_keep_directions_a_million_units_away():
 def test_colors_refuse_other_numbers_of_coefficients(count):
     sentence = f"found {count} coefficients a colour, expected one of 1, 4, 9, 16"
     with pytest.raises(InputError, match=sentence):
-        colors(draw_gaussians(count=count), camera())
+        compute_colours(draw_gaussians(count=count), camera())

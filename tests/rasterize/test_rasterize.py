@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Settings, rasterize
-from slgaussian.rasterize.harmonics import colors
+from slgaussian.rasterize.harmonics import compute_colours
 from slgaussian.scene import Camera
 from tests.kernel_threads import kernels_on
 from tests.pinhole import camera
@@ -176,7 +176,7 @@ def test_rasterize_without_values_renders_harmonics(backend):
     sh = torch.randn(40, 16, 3, generator=torch.Generator().manual_seed(0))
     output = replace(output, sh=sh)
     drawn = rasterize(output, None, camera(), backend=backend)
-    expected = rasterize(output, colors(output, camera()), camera(), backend=backend)
+    expected = rasterize(output, compute_colours(output, camera()), camera(), backend=backend)
     assert torch.equal(drawn.values, expected.values)
     assert drawn.values.shape == (24, 32, 3)
 
