@@ -107,7 +107,7 @@ def two_walls(folder: Path) -> Path:
     }
     points = next(iter(cameras.values())).unproject(np.full((32, 48), 2.0)).reshape(-1, 3)
     is_red = (np.arange(32 * 48) % 48) < 24
-    color = np.where(is_red[:, None], (0.8, 0.05, 0.05), (0.05, 0.1, 0.8)).astype(np.float32)
+    colour = np.where(is_red[:, None], (0.8, 0.05, 0.05), (0.05, 0.1, 0.8)).astype(np.float32)
     codes = np.array([[1, 0, 0], [0, 0, 1]], np.float32)
     n = len(points)
     features = np.concatenate([codes[np.where(is_red, 0, 1)], np.ones((n, 1))], 1)
@@ -116,12 +116,12 @@ def two_walls(folder: Path) -> Path:
         "scales": np.full((n, 3), 0.04),
         "quats": np.tile([1.0, 0, 0, 0], (n, 1)),
         "opacities": np.full(n, 0.95),
-        "sh": ((color - 0.5) / 0.28209479177387814)[:, None],
+        "sh": ((colour - 0.5) / 0.28209479177387814)[:, None],
         "features": features,
     }
     gaussians = {name: array.astype(np.float32) for name, array in gaussians.items()}
     gaussians = Gaussians.from_arrays({**gaussians, "source": np.arange(n, dtype=np.int32)})
-    image = np.rint(color.reshape(32, 48, 3) * 255).astype(np.uint8)
+    image = np.rint(colour.reshape(32, 48, 3) * 255).astype(np.uint8)
     masks = np.stack([is_red.reshape(32, 48), ~is_red.reshape(32, 48)])
     view = load_encoder("lexicon").encode_regions(image, masks)
     vectors = np.stack([view, view], 1).astype(np.float32)

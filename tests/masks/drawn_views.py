@@ -16,15 +16,15 @@ def texture(seed, size=SIZE, contrast=18.0):
     return contrast * smooth / smooth.std()
 
 
-def canvas(color=(120, 120, 120), seed=0, contrast=18.0):
+def canvas(colour=(120, 120, 120), seed=0, contrast=18.0):
     """A background of one textured colour, float [H, W, 3]."""
-    return np.asarray(color, float) + texture(seed, contrast=contrast)[..., None]
+    return np.asarray(colour, float) + texture(seed, contrast=contrast)[..., None]
 
 
-def paste(picture, box, color, seed=None):
+def paste(picture, box, colour, seed=None):
     """Draw a (textured, where a seed is given) rectangle (top, bottom, left, right), clipped."""
     top, bottom, left, right = box
-    patch = np.broadcast_to(np.asarray(color, float), (bottom - top, right - left, 3))
+    patch = np.broadcast_to(np.asarray(colour, float), (bottom - top, right - left, 3))
     if seed is not None:
         patch = patch + texture(seed, (bottom - top, right - left))[..., None]
     y0, y1 = max(top, 0), min(bottom, picture.shape[0])

@@ -86,7 +86,7 @@ def plain_cost(a, b, sums, cues):
         return np.inf
     sizes = [sums.means[leaves, 0].sum() for leaves in (a, b)]
     means = [sums.means[leaves].sum(0) for leaves in (a, b)]
-    color, (p, q) = ([mean[part] / mean[0] for mean in means] for part in (np.s_[1:4], np.s_[4:]))
+    colour, (p, q) = ([mean[part] / mean[0] for mean in means] for part in (np.s_[1:4], np.s_[4:]))
     used = p + q > 0
     misfits, empty = [], []
     for view in range(sums.views.shape[1]):
@@ -100,7 +100,7 @@ def plain_cost(a, b, sums, cues):
             empty.append(1 - sum(visible) / extent.prod())
     terms = [
         (1.0, np.divide(*sums.borders[between].sum(0)[::-1])),
-        (cues.color, min(np.linalg.norm(color[0] - color[1]) / COLOUR_STEP, 1)),
+        (cues.colour, min(np.linalg.norm(colour[0] - colour[1]) / COLOUR_STEP, 1)),
         (cues.texture, ((p - q)[used] ** 2 / (p + q)[used]).sum()),
         (cues.plane, np.mean(misfits) if misfits else 0),
         (cues.fill, np.mean(empty)),

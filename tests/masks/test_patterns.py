@@ -11,8 +11,8 @@ FLOOR, RED, WHITE, BLUE = (150, 140, 90), (200, 40, 40), (235, 235, 235), (40, 6
 def draw(*things):
     """A picture and its true pieces, int32 from 0: boxes of one colour each on a floor."""
     picture, pieces = canvas(FLOOR, contrast=2), np.zeros(SIZE, np.int32)
-    for number, (box, color) in enumerate(things, start=1):
-        paste(picture, box, color)
+    for number, (box, colour) in enumerate(things, start=1):
+        paste(picture, box, colour)
         pieces[box[0] : box[1], box[2] : box[3]] = number
     return view(picture).image, pieces
 
@@ -66,8 +66,8 @@ def test_touching_patterns_with_a_common_colour_stay_two():
 
 def test_check_cut_by_outline_joins_its_pattern():
     pattern = checks(3, 5, (RED, WHITE))
-    (top, bottom, left, _), color = pattern[-1]
-    pattern[-1] = (top, bottom, left, left + 3), color
+    (top, bottom, left, _), colour = pattern[-1]
+    pattern[-1] = (top, bottom, left, left + 3), colour
     floor, *of = groups(*draw(*pattern))
     assert len(set(of)) == 1 and floor not in of
 
