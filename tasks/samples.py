@@ -125,7 +125,7 @@ def lessons(
     """
     store, clips = run.store, read_chunk(run, chunk)
     samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
-    masking = proposer.load(), tracker.load(), replicas, votes
+    segmenter = proposer.load()
     rows, bad = [], []
     for prediction in store.get(predictions).to_pylist():
         row = samples[prediction["sample"]]
@@ -133,6 +133,8 @@ def lessons(
         gaussians = Gaussians.from_arrays(store.get(ref))
         try:
             sample = framing.read_sample(clips[row["clip"]], row, targets=True)
+            # A tracker remembers: each sample has its own.
+            masking = segmenter, tracker.load(), replicas, votes
             lesson = make_lesson(sample, gaussians, *masking)
         except InputError as error:
             bad.append(left_out(prediction["sample"], error))

@@ -46,7 +46,7 @@ class MaskProposer(Protocol):
 class MaskTracker(Protocol):
     """Propagates labels from remembered frames to a new one.
 
-    A tracker may require predicted depth.
+    A tracker may require predicted depth. Its memory is of one scene: load another for the next.
 
     Attributes:
         final: If true, the tracker provides complete label maps: proposals, merging and voting are

@@ -135,6 +135,16 @@ def test_every_view_and_sample_is_in_a_table_and_every_sample_has_a_lesson(lesso
         assert row["unlabelled_target"] == (lesson.targets == 0).mean() < 0.2
 
 
+def test_lessons_of_a_clip_are_equal_beside_other_clips_of_its_chunk(
+    lesson_corpus, clips, server, tmp_path
+):
+    re10k.write(tmp_path / "chunks", clips[:2])
+    make_old(tmp_path / "chunks")
+    run_flow("supervise", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
+    alone = {row["sample"]: row["digest"] for row in table(lesson_corpus[0], "lessons")}
+    assert {row["sample"]: row["digest"] for row in table(tmp_path, "lessons")} == alone
+
+
 def test_ingest_and_supervise_read_only_new_chunks(lesson_corpus, clips, reads, tmp_path):
     folder, store, _ = lesson_corpus
     before = files_below(folder / "out", TIMED)
