@@ -288,15 +288,15 @@ def _write(
             "workers": str(settings.workers),
         }
         paper = settings.method if settings.preset == "paper" else ""
-        took = Times(computed.costs, host, measure_costs(costs), paper)
+        times = Times(computed.costs, host, measure_costs(costs), paper)
         pages = store.get(computed.report)
         names = {"html": "html", "md": "markdown"}
         forms = {form: pages[name].tobytes().decode() for form, name in names.items()}
         novel = [(r.dataset, r.method, r.scene_metrics["psnr"])
                  for r in results if "psnr" in r.scene_metrics]  # fmt: skip
-        for form, page in with_times(forms, took, rows, novel).items():
+        for form, page in with_times(forms, times, rows, novel).items():
             files[f"report.{form}"] = page.encode()
-        files["times.json"] = _json(took.as_json())
+        files["times.json"] = _json(times.as_json())
     for name in RUN_FILES:
         if name in files:
             write_atomic(out / name, files[name])

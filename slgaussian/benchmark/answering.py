@@ -26,14 +26,14 @@ class Reader(Protocol):
 
 def keep_understood(reader: Reader, texts: Iterable[str]) -> list[str]:
     """Return the texts of which any part is understood; others are answered right by chance."""
-    read, kept = getattr(reader, "understood", None), []
+    read, answered = getattr(reader, "understood", None), []
     for text in texts:
         with suppress(InputError):
             # Readers of other packages need not have ``understood``.
             understood: Any = read(text) if read else reader.unknown_words(text)
             if not read or understood.read_as or not understood.untold:
-                kept.append(text)
-    return kept
+                answered.append(text)
+    return answered
 
 
 @runtime_checkable

@@ -64,9 +64,9 @@ class Rows(Sequence[Row]):
     @classmethod
     def join(cls, parts: Iterable[Sequence[Row]], spec: str = "samples") -> Self:
         """Return the rows of all parts, which are of a spec, in their order."""
-        kept = (part if isinstance(part, Rows) else cls.from_rows(part, spec) for part in parts)
+        columns = (part if isinstance(part, Rows) else cls.from_rows(part, spec) for part in parts)
         empty = load_spec(spec).schema.empty_table()
-        return cls(pa.concat_tables([empty, *(part.table for part in kept)]).combine_chunks())
+        return cls(pa.concat_tables([empty, *(part.table for part in columns)]).combine_chunks())
 
     def __len__(self) -> int:
         return int(self.table.num_rows)

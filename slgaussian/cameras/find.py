@@ -145,9 +145,11 @@ def _find_two(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
     probability = confidence(pose) * (DOUBTFUL_PAIR_FACTOR if doubtful else 1)
     doubt = pair.reason if doubtful else ""
     placed = np.stack([np.eye(3), R]), np.stack([np.zeros(3), t])
-    found = _estimated_cameras(described, *placed, focals, deviations, (pair,), probability, doubt)
+    estimate = _estimated_cameras(
+        described, *placed, focals, deviations, (pair,), probability, doubt
+    )
     graph = _graph([first, second], poses).select([1, 0] if reverse else [0, 1])
-    return replace(found, matches=graph)
+    return replace(estimate, matches=graph)
 
 
 def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
@@ -199,7 +201,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
     deviations = placed.adjusted.focal_deviations[lens]
     doubtful = probability < DOUBTFUL_CONFIDENCE
     doubt = "some photographs share little with the others" if doubtful else ""
-    found = _estimated_cameras(
+    estimate = _estimated_cameras(
         described,
         R,
         t / scale,
@@ -210,7 +212,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
         doubt,
     )
     graph = _graph(ordered, solved).select([int(rank) for rank in np.argsort(order)])
-    return replace(found, matches=graph)
+    return replace(estimate, matches=graph)
 
 
 def _refined_keypoints(
