@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from slgaussian.gaussians import Gaussians
     from slgaussian.scene import Camera
 
-EXPORTS = (".html", ".ply", ".spz")
-
 
 class Shot(NamedTuple):
     """Rendering of a source: uint8 [H, W, 3], float32 [H, W], int32 [H, W] or None."""
@@ -238,8 +236,7 @@ def export(
     """
     from flows.cli.open_field import open_field
     from slgaussian.field import SemanticField
-    from slgaussian.formats.ply import save_ply
-    from slgaussian.formats.spz import save_spz
+    from slgaussian.formats.splats import WRITERS, save_gaussians
     from slgaussian.io import write_file
     from slgaussian.viewer.page.scene_page import scene_page
 
@@ -248,12 +245,12 @@ def export(
 
         typer.echo(f"{out}: {export_masks(folder, out)} masks")
         return
-    suffix = out.suffix.lower()
-    if suffix not in EXPORTS:
+    suffix, suffixes = out.suffix.lower(), (".html", *WRITERS)
+    if suffix not in suffixes:
         raise InputError(
             f"{out}: found {repr(out.suffix) if suffix else 'no suffix'}, expected the name of the "
-            f"file to end in {', '.join(EXPORTS[:-1])} or {EXPORTS[-1]}"
-            f"{did_you_mean(suffix, EXPORTS)}"
+            f"file to end in {', '.join(suffixes[:-1])} or {suffixes[-1]}"
+            f"{did_you_mean(suffix, suffixes)}"
         )
     if suffix != ".html" and texts:
         raise InputError(f"{out}: --text is for pages (.html); leave it out")
@@ -265,10 +262,7 @@ def export(
         typer.echo(f"{size}, to open in any browser, without a network", err=True)
     else:
         field = SemanticField.load(folder).drop_hidden()
-        if suffix == ".spz":
-            save_spz(field.gaussians, out)
-        else:
-            save_ply(field.gaussians, out, field.labels())
+        save_gaussians(field.gaussians, out, field.labels())
     typer.echo(out)
 
 

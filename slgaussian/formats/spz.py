@@ -4,7 +4,7 @@ Format (https://github.com/nianticlabs/spz, MIT licence): a header of 16 bytes, 
 of all Gaussians after the other, gzipped. Means are 24-bit fixed-point numbers, opacities 8 bits,
 colours of degree 0 8 bits (``0.15 sh + 0.5``), scales 8 bits (16 steps per factor of e, from
 e^-10), rotations 32 bits, higher harmonics 8 bits, of which degree 1 uses 5 and the others 4. The
-axes are x right, y up, z backward, so y and z are negated here.
+axes are x right, y up, z backward (:func:`slgaussian.formats.axes.turn_axes`).
 
 The number of fractional bits of the means is the largest that the extent of the scene allows.
 """
@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.formats.axes import turn_axes
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
@@ -30,20 +31,14 @@ MAX_BITS = 20  # largest number of fractional bits of the means
 MIN_SCALE, MAX_SCALE = np.exp(-10.0), np.exp(255 / 16 - 10)
 """Smallest and largest scale, scene units."""
 
-AXIS_SIGNS = np.array([1, -1, -1], np.float32)
-"""Signs between x right, y down, z forward and x right, y up, z backward."""
-
-_SH_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""Signs of harmonics 1 to 15 under :data:`AXIS_SIGNS`; degree 1 is ordered y, z, x, and so on."""
-
 _QUATERNION_SCALE = np.float32(511 * np.sqrt(2))
 """Scale of the three smaller components, whose magnitude is at most 1 / sqrt 2."""
 
 _STORED_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
-def save_spz(gaussians: Gaussians, path: str | Path) -> None:
-    """Write Gaussians atomically as ``.spz`` of version 3.
+def save_spz(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
+    """Write Gaussians atomically as ``.spz`` of version 3, which has no place for ``labels``.
 
     Raises:
         InputError: If a number is NaN, infinite or out of range, the harmonics are above degree 3,
@@ -51,7 +46,7 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
             file cannot be written.
     """
     gaussians.check()
-    arrays = gaussians.to_arrays()
+    arrays = turn_axes(gaussians).to_arrays()
     n, terms = arrays["sh"].shape[:2]
     if terms not in (1, 4, 9, 16):
         raise InputError(
@@ -65,7 +60,7 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
             f"gaussians means: found {reach:.3g} scene units from the origin, expected less than "
             "8e6, which an .spz holds; write a .ply"
         )
-    fixed = np.rint(arrays["means"] * AXIS_SIGNS * 2.0**bits).astype("<i4")
+    fixed = np.rint(arrays["means"] * 2.0**bits).astype("<i4")
     with np.errstate(divide="ignore"):  # log of a scale of 0, clipped to the smallest value
         logs = np.log(arrays["scales"])
     middle = float(np.median(arrays["scales"])) if n else 1.0
@@ -82,9 +77,9 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
             f"({position}); a .ply keeps it",
             stacklevel=2,
         )
-    quats = arrays["quats"][:, [1, 2, 3, 0]] * np.append(AXIS_SIGNS, np.float32(1))
+    quats = arrays["quats"][:, [1, 2, 3, 0]]
     steps = np.repeat([8, 16], [3, 12])[: terms - 1, None]
-    higher = np.rint(arrays["sh"][:, 1:] * _SH_SIGNS[: terms - 1, None] * 128) + 128
+    higher = np.rint(arrays["sh"][:, 1:] * 128) + 128
     higher = np.floor((higher + steps // 2) / steps) * steps
     degree = int(np.sqrt(terms)) - 1
     parts = [

@@ -1,0 +1,50 @@
+"""Files of Gaussians of any program, read and written by their suffix."""
+
+from __future__ import annotations
+
+import pkgutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slgaussian.errors import InputError, did_you_mean
+from slgaussian.gaussians import Gaussians
+
+READERS = {".ply": "slgaussian.formats.ply:load_ply"}
+"""Functions by suffix: (path) -> Gaussians, and further columns {name: [N]}."""
+
+WRITERS = {
+    ".ply": "slgaussian.formats.ply:save_ply",
+    ".spz": "slgaussian.formats.spz:save_spz",
+}
+"""Functions by suffix: (Gaussians, path, labels int [N] or None)."""
+
+
+def load_gaussians(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
+    """Read Gaussians and the further columns of their file; raises as the reader of its suffix."""
+    gaussians, extra = _function(path, READERS)(path)
+    return gaussians, extra
+
+
+def save_gaussians(
+    gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None
+) -> None:
+    """Write Gaussians atomically, with the object of each where the format has a place for it.
+
+    Raises:
+        InputError: If the suffix names no format, and as the writer of the suffix.
+    """
+    _function(path, WRITERS)(gaussians, path, labels)
+
+
+def _function(path: str | Path, table: dict[str, str]) -> Any:
+    suffix = Path(path).suffix.lower()
+    if suffix not in table:
+        *first, last = table
+        raise InputError(
+            f"{path}: found {repr(suffix) if suffix else 'no suffix'}, expected the name of the "
+            f"file to end in {', '.join(first)}{' or ' if first else ''}{last}"
+            f"{did_you_mean(suffix, table)}"
+        )
+    return pkgutil.resolve_name(table[suffix])
