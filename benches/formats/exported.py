@@ -23,19 +23,18 @@ from slgaussian.cameras.paths import between
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
-from slgaussian.formats.spz import save_spz
+from slgaussian.formats.spz import load_spz, save_spz
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser
-from tests.formats.spz_reader import load_spz
 
 SCENES = 3
 
 READ: dict[str, tuple[Callable, Callable[[Path], Gaussians]]] = {
     ".ply": (save_ply, lambda file: load_ply(file)[0]),
-    ".spz": (save_spz, load_spz),
+    ".spz": (save_spz, lambda file: load_spz(file)[0]),
 }
 
 

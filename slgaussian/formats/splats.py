@@ -11,7 +11,10 @@ import numpy as np
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.gaussians import Gaussians
 
-READERS = {".ply": "slgaussian.formats.ply:load_ply"}
+READERS = {
+    ".ply": "slgaussian.formats.ply:load_ply",
+    ".spz": "slgaussian.formats.spz:load_spz",
+}
 """Functions by suffix: (path) -> Gaussians, and further columns {name: [N]}."""
 
 WRITERS = {

@@ -1,4 +1,4 @@
-"""The compressed ``.spz`` of Niantic, version 3: about 20 bytes per Gaussian before gzip.
+"""The compressed ``.spz`` of Niantic: about 20 bytes per Gaussian before compression.
 
 Format (https://github.com/nianticlabs/spz, MIT licence): a header of 16 bytes, then one attribute
 of all Gaussians after the other, gzipped. Means are 24-bit fixed-point numbers, opacities 8 bits,
@@ -6,7 +6,9 @@ colours of degree 0 8 bits (``0.15 sh + 0.5``), scales 8 bits (16 steps per fact
 e^-10), rotations 32 bits, higher harmonics 8 bits, of which degree 1 uses 5 and the others 4. The
 axes are x right, y up, z backward (:func:`slgaussian.formats.axes.turn_axes`).
 
-The number of fractional bits of the means is the largest that the extent of the scene allows.
+That is version 3, which is written here; the number of fractional bits of the means is the largest
+that the extent of the scene allows. Version 2 has rotations of 24 bits. Version 4 has a header of
+32 bytes and a table of sizes, and each attribute is compressed apart, by zstd.
 """
 
 from __future__ import annotations
@@ -14,9 +16,11 @@ from __future__ import annotations
 import gzip
 import struct
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from slgaussian.errors import InputError
 from slgaussian.formats.axes import turn_axes
@@ -24,6 +28,9 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
 MAGIC, VERSION = 0x5053474E, 3
+READABLE_VERSIONS = (2, 3, 4)
+ANTIALIASED, EXTENDED = 1, 2  # flags
+ORBIT_LIMITS = 0xADBE0002  # the extension that only limits the cameras of a viewer
 COLOUR_SCALE = 0.15
 
 MAX_BITS = 20  # largest number of fractional bits of the means
@@ -94,6 +101,111 @@ def save_spz(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     write_file(path, gzip.compress(b"".join(parts), 6, mtime=0))
 
 
+def load_spz(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
+    """Read an ``.spz`` of version 2, 3 or 4 from any program.
+
+    Returns:
+        gaussians: Gaussians. In float32, numbered from 0.
+        extra: dict. Empty: an ``.spz`` has no further columns.
+
+    Raises:
+        InputError: If the file is missing, not an ``.spz``, truncated, of another version or above
+            degree 3, or if a flag or an extension demands another reading or rendering.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        why = error.strerror or error
+        raise InputError(f"{path}: cannot be read ({why}); give an .spz file") from error
+    try:
+        data = gzip.decompress(data) if data.startswith(b"\x1f\x8b") else data
+        magic, version, n, degree, bits, flags, _ = struct.unpack_from("<IIIBBBB", data)
+        if magic != MAGIC or bits > 24:
+            raise ValueError("its header is none")
+        for found, refused in (
+            (f"version {version}", version not in READABLE_VERSIONS),
+            (f"harmonics of degree {degree}", degree > 3),
+            (f"the flags {flags:#x}", flags & ~(ANTIALIASED | EXTENDED)),
+        ):
+            if refused:
+                raise InputError(
+                    f"{path}: has {found}, expected an .spz of version 2, 3 or 4 with harmonics of "
+                    "degree 0 to 3; write it again as such"
+                )
+        terms = (degree + 1) ** 2
+        widths = [9, 1, 3, 3, 3 if version == 2 else 4, 3 * (terms - 1)]
+        *streams, extensions = _split(data, version, [n * width for width in widths])
+        if flags & EXTENDED:
+            _check_extensions(path, extensions)
+        elif extensions:
+            raise ValueError(f"found {len(extensions)} bytes too many")
+    except InputError:
+        raise
+    except (OSError, EOFError, MemoryError, ValueError, zlib.error, struct.error) as error:
+        raise InputError(
+            f"{path}: is not a whole .spz file ({error or 'too large'}); copy or write it again"
+        ) from error
+    if flags & ANTIALIASED:
+        raise InputError(
+            f"{path}: is marked as trained with anti-aliasing, by which its Gaussians are drawn "
+            "otherwise than here; export it as plain 3D Gaussian splatting"
+        )
+    means, opacities, colours, scales, quats, higher = (
+        np.frombuffer(stream, np.uint8).reshape(n, width)
+        for stream, width in zip(streams, widths, strict=True)
+    )
+    fixed = np.zeros((n, 3, 4), np.uint8)
+    fixed[..., 1:] = means.reshape(n, 3, 3)  # the sign comes along in the highest byte
+    dc = (colours.astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOUR_SCALE)
+    sh = np.concatenate([dc, (higher.astype(np.float32) - 128) / 128], 1).reshape(n, terms, 3)
+    gaussians = Gaussians.from_arrays(
+        {
+            "means": (fixed.view("<i4")[..., 0] >> 8).astype(np.float32) / np.float32(2**bits),
+            "scales": np.exp(scales.astype(np.float32) / 16 - 10),
+            "quats": unpack_quats(quats)[:, [3, 0, 1, 2]],
+            "opacities": opacities[:, 0].astype(np.float32) / 255,
+            "sh": sh,
+            "source": np.arange(n, dtype=np.int32),
+        }
+    )
+    return turn_axes(gaussians), {}
+
+
+def _split(data: bytes, version: int, sizes: list[int]) -> list[bytes]:
+    """Return the attributes of ``sizes`` bytes each, and the extensions; else ValueError."""
+    if version < 4:
+        ends = 16 + np.cumsum([0, *sizes])
+        if len(data) < ends[-1]:
+            raise ValueError(f"found {len(data)} bytes, expected {ends[-1]}")
+        return [data[a:b] for a, b in zip(ends, [*ends[1:], len(data)], strict=True)]
+    count, table = struct.unpack_from("<BI", data, 15)
+    start = table + 16 * count
+    stored = iter([struct.unpack_from("<QQ", data, table + 16 * i) for i in range(count)])
+    parts = []
+    for size in sizes:
+        length, unpacked = next(stored, (0, 0)) if size else (0, 0)  # empty ones are left out
+        if unpacked != size or start + length > len(data):
+            raise ValueError(f"found a part of {unpacked} bytes, expected {size}")
+        packed = memoryview(data)[start : start + length]
+        parts.append(pa.decompress(packed, size, "zstd", asbytes=True) if size else b"")
+        start += length
+    if start != len(data):
+        raise ValueError(f"found {len(data)} bytes, expected {start}")
+    return [*parts, data[32:table]]
+
+
+def _check_extensions(path: str | Path, records: bytes) -> None:
+    """Refuse extensions that may change the meaning of the numbers, such as other axes."""
+    while records:
+        kind, length = struct.unpack_from("<II", records)
+        if kind != ORBIT_LIMITS:
+            raise InputError(
+                f"{path}: has the extension {kind:#x}, which may change what its numbers mean; "
+                "write it again without extensions"
+            )
+        records = records[8 + length :]
+
+
 def pack_quats(quats: np.ndarray) -> np.ndarray:
     """Pack quaternions xyzw float32 [N, 4], of any length but zero, into uint32 [N].
 
@@ -112,6 +224,27 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     for code in codes.T:
         packed = packed << np.uint32(10) | code
     return packed
+
+
+def unpack_quats(packed: np.ndarray) -> np.ndarray:
+    """Return unit quaternions xyzw float32 [N, 4] from uint8 [N, 4], or [N, 3] of version 2.
+
+    Those of 4 bytes are packed by :func:`pack_quats`, little-endian; those of 3 bytes hold x, y and
+    z, 127.5 (component + 1), and w is positive.
+    """
+    quats, rows = np.empty((len(packed), 4), np.float32), np.arange(len(packed))
+    if packed.shape[1] == 3:
+        largest, columns = np.full(len(packed), 3), _STORED_COMPONENTS[[3] * len(packed)]
+        smaller = packed / np.float32(127.5) - 1
+    else:
+        words = np.ascontiguousarray(packed).view("<u4")
+        largest = (words[:, 0] >> np.uint32(30)).astype(np.int64)
+        codes, columns = words >> np.array([20, 10, 0], np.uint32), _STORED_COMPONENTS[largest]
+        smaller = (codes & np.uint32(511)).astype(np.float32) / _QUATERNION_SCALE
+        smaller = np.where(codes & np.uint32(512), -smaller, smaller)
+    quats[rows[:, None], columns] = smaller
+    quats[rows, largest] = np.sqrt(np.maximum(0, 1 - (smaller**2).sum(1)))
+    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
 
 
 def _bytes(values: np.ndarray) -> bytes:

@@ -1,19 +1,23 @@
 """Round trips of compact formats, within their precision."""
 
 import gzip
+import struct
+from itertools import pairwise
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.formats.spz import pack_quats, save_spz
+from slgaussian.formats.axes import turn_axes
+from slgaussian.formats.ply import load_ply
+from slgaussian.formats.spz import load_spz, pack_quats, save_spz, unpack_quats
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.rasterize.harmonics import compute_colours
 from slgaussian.scene import Camera
-from tests.formats.spz_reader import load_spz, unpack_quats
 
 
 def make_gaussians(n: int = 500, degree: int = 0, seed: int = 0, spread: float = 1.0) -> Gaussians:
@@ -44,7 +48,7 @@ def angles(a: torch.Tensor, b: torch.Tensor) -> np.ndarray:
 def test_pack_quats_keeps_rotations_within_a_third_of_a_degree(rows):
     quats = np.array(rows, np.float32)
     quats[np.linalg.norm(quats, axis=1) < 1e-3] = (0, 0, 0, 1)
-    restored = unpack_quats(pack_quats(quats))
+    restored = unpack_quats(pack_quats(quats).astype("<u4")[:, None].view(np.uint8))
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     cosine = np.abs((unit.astype(np.float64) * restored).sum(1)).clip(0, 1)
     assert np.degrees(2 * np.arccos(cosine)).max() < 0.28
@@ -55,7 +59,7 @@ def test_pack_quats_keeps_rotations_within_a_third_of_a_degree(rows):
 def test_spz_round_trip_stays_within_its_precision(tmp_path, degree):
     gaussians = make_gaussians(degree=degree)
     save_spz(gaussians, tmp_path / "a.spz")
-    restored = load_spz(tmp_path / "a.spz")
+    restored = load_spz(tmp_path / "a.spz")[0]
     assert (gaussians.means - restored.means).abs().max() < 2e-6 * gaussians.means.abs().max()
     assert (gaussians.scales / restored.scales).log().abs().max() < 0.501 / 16
     assert (gaussians.opacities - restored.opacities).abs().max() <= 0.501 / 255
@@ -70,7 +74,7 @@ def test_spz_turns_harmonics_with_the_axes(tmp_path):
     """Without the rotation, colours would be those of a mirrored direction."""
     gaussians = make_gaussians(20, degree=3, seed=3)
     save_spz(gaussians, tmp_path / "a.spz")
-    restored = load_spz(tmp_path / "a.spz")
+    restored = load_spz(tmp_path / "a.spz")[0]
     cam = Camera(np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(4), 64, 48)
     assert (compute_colours(gaussians, cam) - compute_colours(restored, cam)).abs().max() < 0.35
     data = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
@@ -78,6 +82,93 @@ def test_spz_turns_harmonics_with_the_axes(tmp_path):
     # Degree 1 holds y, z and x: the first two are turned.
     signs = np.sign(stored[:, :3].astype(int) - 128) * np.sign(gaussians.sh[:, 1:4].numpy())
     assert (signs[:, :2] <= 0).all() and (signs[:, 2] >= 0).all()
+
+
+def rewrite(data: bytes, version: int, flags: int = 0, extensions: bytes = b"") -> bytes:
+    """Return the content of an ``.spz`` of version 3 in another version."""
+    plain = gzip.decompress(data)
+    _, _, n, degree, bits, _, _ = struct.unpack_from("<IIIBBBB", plain)
+    widths = [9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1)]
+    ends = 16 + n * np.cumsum([0, *widths])
+    parts = [plain[a:b] for a, b in pairwise(ends)]
+    if version < 3:
+        xyzw = unpack_quats(np.frombuffer(parts[4], np.uint8).reshape(n, 4))
+        signed = xyzw[:, :3] * np.where(xyzw[:, 3:] < 0, -1, 1)
+        parts[4] = np.rint(signed * 127.5 + 127.5).astype(np.uint8).tobytes()
+    head = struct.pack("<IIIBBB", 0x5053474E, version, n, degree, bits, flags)
+    if version < 4:
+        return gzip.compress(head + b"\0" + b"".join(parts) + extensions)
+    parts = [part for part in parts if part]
+    packed = [pa.compress(part, "zstd", asbytes=True) for part in parts]
+    head += struct.pack("<BI12x", len(parts), 32 + len(extensions)) + extensions
+    sizes = zip(map(len, packed), map(len, parts), strict=True)
+    return head + b"".join(struct.pack("<QQ", *pair) for pair in sizes) + b"".join(packed)
+
+
+ORBIT_LIMITS = struct.pack("<IIfff", 0xADBE0002, 12, -1, 1, 0)
+OTHER_AXES = struct.pack("<III", 0xADBE0003, 4, 5)
+
+
+@pytest.mark.parametrize(
+    ("version", "degree", "extensions"),
+    [
+        (2, 0, b""),
+        (2, 3, b""),
+        (3, 1, ORBIT_LIMITS),
+        (3, 3, b""),
+        (4, 0, ORBIT_LIMITS),
+        (4, 3, b""),
+    ],
+)
+def test_load_spz_reads_the_numbers_that_niantics_reader_reads(
+    tmp_path, version, degree, extensions
+):
+    """Gaussforge contains the reader of https://github.com/nianticlabs/spz."""
+    gaussforge = pytest.importorskip("gaussforge", reason="needs the reader gaussforge of PyPI")
+    save_spz(make_gaussians(degree=degree), tmp_path / "a.spz")
+    data = (tmp_path / "a.spz").read_bytes()
+    if (version, extensions) != (3, b""):
+        data = rewrite(data, version, 2 if extensions else 0, extensions)
+        (tmp_path / "a.spz").write_bytes(data)
+    theirs = gaussforge.GaussForge().convert(data, "spz", "ply")["data"]
+    (tmp_path / "a.ply").write_bytes(theirs)
+    ours, extra = load_spz(tmp_path / "a.spz")
+    assert extra == {} and ours.source.tolist() == list(range(500))
+    expected = turn_axes(load_ply(tmp_path / "a.ply")[0])  # it keeps the axes of the file
+    assert [value.dtype for _, value in ours.items()] == [v.dtype for _, v in expected.items()]
+    assert torch.equal(ours.means, expected.means)
+    assert torch.equal(ours.sh[:, 1:], expected.sh[:, 1:])
+    # The largest component is the root of a difference, which float32 rounds near 0.
+    for name, error in (("sh", 1e-6), ("opacities", 1e-6), ("scales", 1e-6), ("quats", 5e-4)):
+        assert torch.allclose(getattr(ours, name), getattr(expected, name), atol=error), name
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda data: None, "cannot be read"),
+        (lambda data: b"", "is not a whole .spz file"),
+        (lambda data: b"ply\nformat ascii 1.0\n", "is not a whole .spz file"),
+        (lambda data: data[: len(data) // 2], "is not a whole .spz file"),
+        (lambda data: gzip.compress(gzip.decompress(data)[:-1]), "found 2215 bytes, expected 2216"),
+        (lambda data: gzip.compress(gzip.decompress(data) + b"a"), "found 1 bytes too many"),
+        (lambda data: rewrite(data, 4)[:-9], "is not a whole .spz file"),
+        (lambda data: rewrite(data, 4)[:8] + b"\xff" * 4 + rewrite(data, 4)[12:], "expected 38654"),
+        (lambda data: rewrite(data, 1), "has version 1, expected an .spz of version 2, 3 or 4"),
+        (lambda data: rewrite(data, 5), "has version 5, expected"),
+        (lambda data: rewrite(data, 3, flags=128), "has the flags 0x80, expected"),
+        (lambda data: rewrite(data, 3, flags=1), "is marked as trained with anti-aliasing"),
+        (lambda data: rewrite(data, 4, 2, OTHER_AXES), "has the extension 0xadbe0003"),
+    ],
+)
+def test_load_spz_refuses_what_it_does_not_understand_in_one_sentence(tmp_path, change, sentence):
+    path = tmp_path / "a.spz"
+    save_spz(make_gaussians(50, degree=2), path)
+    data = change(path.read_bytes())
+    path.unlink() if data is None else path.write_bytes(data)
+    with pytest.raises(InputError, match=sentence) as error:
+        load_spz(path)
+    assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
 
 
 def test_save_spz_writes_nothing_for_invalid_gaussians(tmp_path):
