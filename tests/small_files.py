@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import random
 import shutil
@@ -25,6 +26,7 @@ from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
+from slgaussian.formats.spz import load_spz, save_spz
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import load_encoder
 from slgaussian.language.bank import MemoryBank
@@ -332,6 +334,12 @@ def make_ply(folder: Path) -> None:
     plyfile.PlyData([faces, content["vertex"]], byte_order=">").write(folder / "c.ply")
 
 
+def make_spz(folder: Path) -> None:
+    save_spz(gaussians(), folder / "a.spz")
+    # Its content, in which damage is not found by the checksum of gzip alone.
+    (folder / "b.spz").write_bytes(gzip.decompress((folder / "a.spz").read_bytes()))
+
+
 def make_checkpoints(folder: Path) -> None:
     state = {"encoder.a.weight": torch.arange(12.0).reshape(3, 4), "encoder.b": torch.ones(5)}
     torch.save({"state_dict": state, "epoch": 3}, folder / "new.ckpt")
@@ -409,6 +417,7 @@ FORMATS = {
     "npz": Format(make_arrays, read_arrays, ("*.npz",)),
     "Parquet": Format(make_tables, read_tables, ("*.parquet",)),
     "ply": Format(make_ply, lambda f: read_each(load_ply, f.iterdir()), ("*.ply",)),
+    "spz": Format(make_spz, lambda f: read_each(load_spz, f.iterdir()), ("*.spz",)),
     "checkpoints": Format(make_checkpoints, read_checkpoints, ("*.ckpt",)),
     "weights": Format(make_weights, read_weights, ("*.safetensors", "*.pt")),
     "versions": Format(make_versions, read_versions, ("*.json", "versions/*")),

@@ -9,7 +9,7 @@ scenes and a procedural room. Chromium, which must be installed, draws the page 
 import base64
 import io
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +22,7 @@ from slgaussian.build import build_field
 from slgaussian.cameras.paths import between
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
-from slgaussian.formats.ply import load_ply, save_ply
-from slgaussian.formats.spz import load_spz, save_spz
+from slgaussian.formats.splats import READERS, load_gaussians, save_gaussians
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
@@ -31,11 +30,6 @@ from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser
 
 SCENES = 3
-
-READ: dict[str, tuple[Callable, Callable[[Path], Gaussians]]] = {
-    ".ply": (save_ply, lambda file: load_ply(file)[0]),
-    ".spz": (save_spz, lambda file: load_spz(file)[0]),
-}
 
 
 def measure_formats(
@@ -46,10 +40,10 @@ def measure_formats(
     middle = between(cameras[0], cameras[-1], 0.5)
     true = [_draw(field.gaussians, camera) for camera in (*cameras, middle)]
     common = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
-    for suffix, (save, load) in READ.items():
+    for suffix in READERS:
         file = folder / f"scene{suffix}"
-        save(field.gaussians, file)
-        reloaded = load(file)
+        save_gaussians(field.gaussians, file)
+        reloaded, _ = load_gaussians(file)
         errors = [
             psnr(_draw(reloaded, camera), original)
             for camera, original in zip((*cameras, middle), true, strict=True)

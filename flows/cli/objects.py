@@ -215,9 +215,11 @@ def extract(
     ctx: typer.Context,
     field: options.Folder,
     text: Annotated[str, typer.Argument(metavar="OBJECT", help="A text, a name, or an id.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help=".ply or .spz file, or folder for a field.")
+    ],
 ) -> None:
-    """Write the objects of a query alone, as a field or .ply file.
+    """Write the objects of a query alone, as a field or a file of Gaussians.
 
     A text selects objects as `query` does, but in the whole scene instead of a view. The exit
     status is 3 if the verdict is "not here" or "cannot tell"; then nothing is written.
@@ -227,11 +229,11 @@ def extract(
     slgaussian objects extract field/ 17 -o chair/
     """
     from flows.cli.open_field import open_field
-    from slgaussian.formats.ply import save_ply
+    from slgaussian.formats.splats import WRITERS, save_gaussians
     from slgaussian.storage.field_folder import check_target
 
-    ply = out.suffix.lower() == ".ply"
-    if not ply:
+    is_file = out.suffix.lower() in WRITERS
+    if not is_file:
         check_target(out)
     rules, opened = open_field(field, ctx)
     hits = find_objects(opened, text, rules)
@@ -239,8 +241,8 @@ def extract(
     if not len(extracted.gaussians):
         typer.echo(f"nothing found for {text!r}, so nothing is written")
         raise typer.Exit(3)
-    if ply:
-        save_ply(extracted.gaussians, out, extracted.labels())
+    if is_file:
+        save_gaussians(extracted.gaussians, out, extracted.labels())
     else:
         extracted.save(out)
     typer.echo(f"objects  {_format_hits(hits)}\n{len(extracted.gaussians):,} Gaussians  {out}")

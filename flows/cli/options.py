@@ -93,7 +93,9 @@ Cameras = Annotated[
     typer.Option(help="transforms.json, LLFF's, or a COLMAP folder. [default: estimated]"),
 ]
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder of a field.")]
-FieldOrPly = Annotated[Path, typer.Argument(metavar="FIELD|PLY", help="Field, or any 3DGS .ply.")]
+FieldOrGaussians = Annotated[
+    Path, typer.Argument(metavar="FIELD|FILE", help="Field, or any 3DGS .ply or .spz.")
+]
 View = Annotated[str | None, typer.Option(help="Name or number from 0. [default: 0]")]
 Views = Annotated[
     list[str] | None,

@@ -33,7 +33,7 @@ class Shot(NamedTuple):
 
 
 def render(
-    source: options.FieldOrPly,
+    source: options.FieldOrGaussians,
     out: Annotated[Path, typer.Option("--out", "-o", help="Picture: .png or .jpg; video: .mp4.")],
     view: options.Views = None,
     between: options.Between = None,
@@ -52,11 +52,11 @@ def render(
         str, typer.Option(help="Content: colours, or codes (the paper's feature maps).")
     ] = "colours",
 ) -> None:
-    """Render a field, or any .ply of Gaussians, from a camera.
+    """Render a field, or any .ply or .spz of Gaussians, from a camera.
 
-    A field has cameras; for a .ply, give cameras in its world with --camera. A --path is a camera
-    path of nerfstudio's viewer, or a transforms.json. Depth is 0 where there is no surface, and ids
-    are 16-bit numbers, 0 for none; both are written for one view only.
+    A field has cameras; for Gaussians, give cameras in their world with --camera. A --path is a
+    camera path of nerfstudio's viewer, or a transforms.json. Depth is 0 where there is no surface,
+    and ids are 16-bit numbers, 0 for none; both are written for one view only.
 
     \b
     slgaussian render field/ -o picture.png --view 1 --depth depth.npy --ids ids.png
@@ -72,7 +72,7 @@ def render(
     from slgaussian.datasets.recognise import cameras_in
     from slgaussian.field import SemanticField
     from slgaussian.formats.depth_maps import WRITABLE_SUFFIXES, write_map
-    from slgaussian.formats.ply import load_ply
+    from slgaussian.formats.splats import READERS, load_gaussians
     from slgaussian.io import write_file
     from slgaussian.masks.precomputed import encode_ids
 
@@ -89,19 +89,20 @@ def render(
             raise InputError(f"{name}: is of one view; leave out {chosen[0]}, or name one view")
         if file is not None:
             check_picture(file, kinds)
-    is_ply = source.suffix.lower() == ".ply" and not source.is_dir()
-    if is_ply and (ids is not None or show == "codes"):
-        raise InputError(f"{source}: a .ply has no objects; leave out --ids and --show")
-    if is_ply and camera is None and path is None:
+    suffix = source.suffix.lower()
+    is_file = suffix in READERS and not source.is_dir()
+    if is_file and (ids is not None or show == "codes"):
+        raise InputError(f"{source}: a {suffix} has no objects; leave out --ids and --show")
+    if is_file and camera is None and path is None:
         raise InputError(
-            f"{source}: a .ply has no cameras; add --camera transforms.json, in the world of "
-            "the .ply, and --view with the name of one of its frames"
+            f"{source}: a {suffix} has no cameras; add --camera transforms.json, in the world of "
+            f"the {suffix}, and --view with the name of one of its frames"
         )
-    if is_ply:
-        gaussians, _ = load_ply(source)
+    if is_file:
+        gaussians, _ = load_gaussians(source)
         if not len(gaussians):
             raise InputError(f"{source}: has no Gaussians, so there is nothing to render")
-        look = partial(_look_at_ply, gaussians, source)
+        look = partial(_look_at_gaussians, gaussians, source)
         cameras: Mapping[str, Camera] = {}
     else:
         field = SemanticField.load(source)
@@ -143,7 +144,7 @@ def _look_at_field(field: SemanticField, codes: bool, camera: Camera) -> Shot:
     return Shot(rgb if codes else rendered.rgb, rendered.depth, rendered.ids)
 
 
-def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
+def _look_at_gaussians(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
     """Render Gaussians; warn if hardly any are visible."""
     import numpy as np
 

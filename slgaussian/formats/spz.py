@@ -234,15 +234,15 @@ def unpack_quats(packed: np.ndarray) -> np.ndarray:
     """
     quats, rows = np.empty((len(packed), 4), np.float32), np.arange(len(packed))
     if packed.shape[1] == 3:
-        largest, columns = np.full(len(packed), 3), _STORED_COMPONENTS[[3] * len(packed)]
+        largest = np.full(len(packed), 3)
         smaller = packed / np.float32(127.5) - 1
     else:
         words = np.ascontiguousarray(packed).view("<u4")
         largest = (words[:, 0] >> np.uint32(30)).astype(np.int64)
-        codes, columns = words >> np.array([20, 10, 0], np.uint32), _STORED_COMPONENTS[largest]
+        codes = words >> np.array([20, 10, 0], np.uint32)
         smaller = (codes & np.uint32(511)).astype(np.float32) / _QUATERNION_SCALE
         smaller = np.where(codes & np.uint32(512), -smaller, smaller)
-    quats[rows[:, None], columns] = smaller
+    quats[rows[:, None], _STORED_COMPONENTS[largest]] = smaller
     quats[rows, largest] = np.sqrt(np.maximum(0, 1 - (smaller**2).sum(1)))
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)
 

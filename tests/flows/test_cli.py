@@ -13,7 +13,8 @@ from PIL import Image
 
 from slgaussian.cameras import orbit
 from slgaussian.field import SemanticField
-from slgaussian.formats.ply import load_ply, save_ply
+from slgaussian.formats.ply import load_ply
+from slgaussian.formats.splats import READERS, save_gaussians
 from slgaussian.masks.precomputed import read_ids
 
 FIRST, SECOND = "images/001.png", "images/002.png"
@@ -206,18 +207,19 @@ def test_a_film_follows_a_turn_or_a_camera_path_of_nerfstudio(walls, tmp_path, s
             assert np.abs(frame - field.render(camera).rgb).mean() < 12
 
 
-def test_a_ply_is_rendered_from_cameras_that_are_given(walls, tmp_path, slg):
+@pytest.mark.parametrize("suffix", READERS)
+def test_render_draws_a_file_of_gaussians_from_given_cameras(walls, tmp_path, slg, suffix):
     loaded = SemanticField.load(walls).gaussians
     sh = torch.zeros(len(loaded), 4, 3)
     sh[:, :1] = loaded.sh
-    sh[:, 3, 1] = -2.0  # greener to the right of the camera, by 0.49 * 2 * x of the direction
-    save_ply(replace(loaded, sh=sh), tmp_path / "scene.ply")
+    sh[:, 3, 1] = -1.0  # greener to the right of the camera, by 0.49 * x of the direction
+    save_gaussians(replace(loaded, sh=sh), scene := tmp_path / f"scene{suffix}")
     inputs = ["--cameras", transforms(tmp_path), "--view", "007", "--depth", tmp_path / "a.npy"]
-    done = slg("render", tmp_path / "scene.ply", *inputs, "-o", tmp_path / "a.png")
+    done = slg("render", scene, *inputs, "-o", tmp_path / "a.png")
     assert done == (0, f"{tmp_path / 'a.png'}\n", "")
     observed = pixels(tmp_path / "a.png")
     # There the wall is 0.8125 to the right at a depth of 2: x of the direction is 0.376.
-    assert np.abs(observed[32, 80] - np.array([0.05, 0.1 + 0.9772 * 0.376, 0.8]) * 255).max() <= 6
+    assert np.abs(observed[32, 80] - np.array([0.05, 0.1 + 0.4886 * 0.376, 0.8]) * 255).max() <= 6
     assert np.abs(observed[32, 16] - np.array([0.8, 0, 0.05]) * 255).max() <= 4  # clamped at 0
     assert np.load(tmp_path / "a.npy")[32, 16] == pytest.approx(2, abs=0.05)
 

@@ -9,6 +9,7 @@ from plyfile import PlyData
 
 from flows.cli import objects
 from slgaussian.field import SemanticField
+from slgaussian.formats.splats import load_gaussians
 
 RED, BLUE = 1, 2
 
@@ -51,6 +52,8 @@ def test_objects_extract_writes_the_object_alone(walls, tmp_path, slg):
         assert slg("objects", "extract", walls, text, "-o", tmp_path / "red.ply")[0] == 0
         assert read_labels(tmp_path / "red.ply") == {RED}
         assert PlyData.read(tmp_path / "red.ply")["vertex"].count == count
+    assert slg("objects", "extract", walls, "red", "-o", tmp_path / "red.spz")[0] == 0
+    assert len(load_gaussians(tmp_path / "red.spz")[0]) == count
     assert slg("objects", "extract", walls, "red", "-o", tmp_path / "red")[0] == 0
     assert set(SemanticField.load(tmp_path / "red").labels().tolist()) == {RED}
     status, out, _ = slg("objects", "extract", walls, "yellow", "-o", tmp_path / "x.ply")

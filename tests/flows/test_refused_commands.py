@@ -47,6 +47,7 @@ def place(tmp_path_factory, walls):
         ("render field -o a.png --orbit 4", "expected the name of a film to end in .mp4"),
         ("render field -o a.mp4 --orbit 4 --view 1", "leave out one of them"),
         ("render scene.ply -o a.png", "a .ply has no cameras; add --camera transforms.json"),
+        ("render scene.spz -o a.png", "a .spz has no cameras; add --camera transforms.json"),
         ("render scene.ply --cameras transforms.json --view 008 -o a.png", "no view '008'"),
         ("render points.ply --cameras transforms.json -o a.png", "no Gaussians: lacks f_dc_0"),
         ("render empty.ply --cameras transforms.json -o a.png", "empty.ply: has no Gaussians"),
