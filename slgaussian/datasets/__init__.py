@@ -126,9 +126,11 @@ def _call(format: str, function: Callable[..., Any], *args: Any, **settings: Any
     return function(*args, **settings)
 
 
-def __getattr__(name: str) -> Any:
-    if name == "TrainingSet":  # torch takes seconds
-        from slgaussian.datasets.training_set import TrainingSet
+if not TYPE_CHECKING:  # which would find every name in a module with this function
 
-        return TrainingSet
-    raise AttributeError(f"module 'slgaussian.datasets' has no attribute {name!r}")
+    def __getattr__(name: str) -> Any:
+        if name == "TrainingSet":  # torch takes seconds
+            from slgaussian.datasets.training_set import TrainingSet
+
+            return TrainingSet
+        raise AttributeError(f"module 'slgaussian.datasets' has no attribute {name!r}")

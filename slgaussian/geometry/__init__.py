@@ -9,7 +9,9 @@ if TYPE_CHECKING:  # loaded on first use: a field's bank needs only the room, an
 __all__ = ["SceneGeometry", "SeenView"]
 
 
-def __getattr__(name: str) -> Any:
-    if name in __all__:
-        return getattr(import_module("slgaussian.geometry.seen"), name)
-    raise AttributeError(f"module 'slgaussian.geometry' has no attribute {name!r}")
+if not TYPE_CHECKING:  # which would find every name in a module with this function
+
+    def __getattr__(name: str) -> Any:
+        if name in __all__:
+            return getattr(import_module("slgaussian.geometry.seen"), name)
+        raise AttributeError(f"module 'slgaussian.geometry' has no attribute {name!r}")

@@ -1,6 +1,7 @@
 """Alerts by a real Prefect server to a real webhook, after real ends of runs."""
 
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -10,7 +11,7 @@ import httpx
 import pytest
 from prefect.settings import PREFECT_API_URL, temporary_settings
 from tiny_program import wait_until
-from web import call_prefect, receive_json, serve_prefect, start_prefect
+from web import call_prefect, post, receive_json, serve_prefect, start_prefect
 
 from flows.automations import apply_automations, read_automations
 
@@ -126,6 +127,22 @@ def test_a_killed_run_is_marked_as_crashed_and_tells_the_webhook(full_server, al
     assert httpx.post(runs, json=running).json() == []
 
 
+def list_open_tasks(env, **scope) -> set[str]:
+    """List the ids of the tasks that a server has as pending or running."""
+    is_open = {"task_runs": {"state": {"type": {"any_": ["PENDING", "RUNNING"]}}}}
+    tasks = post(f"{env['PREFECT_API_URL']}/task_runs/filter", {**scope, **is_open})
+    return {task["id"] for task in tasks.json()}
+
+
+def test_a_signal_to_a_run_closes_its_tasks_on_the_server(full_server, tmp_path):
+    earlier = list_open_tasks(full_server)  # of the run that was killed
+    run = start(full_server, tmp_path / "run", *((f"room {k}", k, 30) for k in range(8)))
+    assert wait_until(lambda: len(list_open_tasks(full_server) - earlier) > 1, 120)
+    run.terminate()
+    assert run.wait(timeout=60) == -signal.SIGTERM
+    assert list_open_tasks(full_server) <= earlier
+
+
 def test_a_cancelled_run_closes_its_tasks_and_logs_no_traceback(full_server, tmp_path):
     """Cancelled as from Prefect's page, in a worker's process, while threads compute stages."""
     shutil.copy(ROOT / "prefect.yaml", tmp_path)
@@ -133,21 +150,17 @@ def test_a_cancelled_run_closes_its_tasks_and_logs_no_traceback(full_server, tmp
     call_prefect(tmp_path, full_server, "deploy", "--name", "report")
     api = httpx.Client(base_url=full_server["PREFECT_API_URL"], timeout=60)
 
-    def list_open_tasks():
-        return api.post("/task_runs/filter", json=open_tasks).json()
-
     with start_prefect(tmp_path, full_server, "worker", "start", "--pool", "slgaussian") as log:
         deployment = api.get("/deployments/name/slgaussian/report").json()["id"]
         config = {"rooms": "0-9", "out": str(tmp_path / "out"), "store": str(tmp_path / "store")}
         ordered = {"parameters": {"config": config}}
         run = api.post(f"/deployments/{deployment}/create_flow_run", json=ordered).json()["id"]
         of_run = {"flow_runs": {"id": {"any_": [run]}}}
-        open_tasks = {**of_run, "task_runs": {"state": {"type": {"any_": ["PENDING", "RUNNING"]}}}}
-        assert wait_until(lambda: len(list_open_tasks()) > 2, 120)
+        assert wait_until(lambda: len(list_open_tasks(full_server, **of_run)) > 2, 120)
         cancel = {"state": {"type": "CANCELLING"}}
         assert api.post(f"/flow_runs/{run}/set_state", json=cancel).is_success
         flow_run = f"/flow_runs/{run}"
         assert wait_until(lambda: api.get(flow_run).json()["state_type"] == "CANCELLED", 90)
-        assert wait_until(lambda: list_open_tasks() == [], 30)
+        assert wait_until(lambda: not list_open_tasks(full_server, **of_run), 30)
     text = log.read_text()
     assert "was cancelled" in text and "Traceback" not in text, text
