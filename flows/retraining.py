@@ -24,10 +24,10 @@ from slgaussian.benchmark.reports.model import append_section, data_uri
 from slgaussian.benchmark.reports.training import history_plot, history_section
 from slgaussian.benchmark.retrainings import History, count_lessons, score_columns, summaries
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
-from slgaussian.datasets.splits import SPLITS, Split, read_split
-from slgaussian.errors import SLGaussianError
+from slgaussian.datasets.splits import FILE as PLACES
+from slgaussian.datasets.splits import Split, read_split
+from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.io import write_atomic
-from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.versions import Version, Versions, mark_clip, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
@@ -183,11 +183,16 @@ def learn(
 
     Raises:
         InputError: As in :func:`flows.training.part_lessons` and :func:`flows.training.train_on`;
-            or if a folder cannot be written.
+            or if a folder cannot be written, or lacks the sides of clips that were learnt.
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
-    recorded = read_split(settings.models) or _earlier_places(table, incumbent)
+    recorded = read_split(settings.models)
+    if incumbent is not None and not recorded:
+        raise InputError(
+            f"{settings.models}: found no {PLACES}, expected the sides of the clips that "
+            f"{version_name(incumbent.number)} has learnt; restore it, or choose another folder"
+        )
     views = settings.out / corpus.FILES["views"]
     lessons = part_lessons(table, views, settings.held_out, recorded, settings.models)
     split = lessons.split
@@ -215,12 +220,3 @@ def learn(
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
     message = f"version {added.number} stored, not promoted: {added.why}"
     return Learnt(message, added, split, regressed)
-
-
-def _earlier_places(table: pa.Table, incumbent: Version | None) -> list[dict[str, str]]:
-    """Return rows of spec ``places`` for weights from before there was one: each clip its place."""
-    if incumbent is None:
-        return []
-    share = incumbent.facts.get("asked", {}).get("held_out", 0)  # perhaps it has learnt all
-    clips = table["clip"].unique().to_pylist()
-    return [{"clip": c, "place": c, "split": SPLITS[held_out(c, share)]} for c in clips]

@@ -209,11 +209,8 @@ def purge(
         for file in files:
             typer.echo(f"  {file}")
     for folder in models:
-        seen, silent = Versions(folder).find_trained_on(traces.clips)
-        for version in seen:
+        for version in Versions(folder).find_trained_on(traces.clips):
             typer.echo(f"{folder}: version {version.number} was trained on them")
-        for version in silent:
-            typer.echo(f"{folder}: version {version.number} does not say what it was trained on")
     is_left = any(files for _, _, files in searches)
     if is_left:
         typer.echo("they are left" if yes else "nothing was removed: give --yes to do it")

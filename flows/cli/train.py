@@ -120,7 +120,7 @@ def versions(
     rows = [["version", "from", "made", "weights", "gate", "judged on", ""]]
     for version in by_number.values():
         mark, gate = " *" * (version == current), "passed" if version.promoted else "held"
-        judged = version.split if version.is_comparable_to(latest) else "another split"
+        judged = version.split if version.split == latest.split else "another split"
         facts = [str(version.parent or "-"), version.made, version.digest[:12], gate, judged]
         rows.append([f"{version.number}{mark}", *facts, version.why])
     typer.echo(table_text(rows, "<>>>>><"))

@@ -55,12 +55,8 @@ class Version:
 
     @property
     def split(self) -> str:
-        """Digest of the held-out clips that judged it; empty if they were not split by place."""
+        """Digest of the held-out clips that judged it; scores of one split are comparable."""
         return str(self.facts.get("split", ""))
-
-    def is_comparable_to(self, version: Version) -> bool:
-        """Return whether its scores are comparable: of the same held-out clips as another's."""
-        return self.split == version.split != ""
 
 
 class Versions:
@@ -91,20 +87,17 @@ class Versions:
         """Return the version with a number; SpecError if its record is damaged or missing."""
         return _read_record(self._file(number))
 
-    def find_trained_on(self, clips: Collection[str]) -> tuple[list[Version], list[Version]]:
-        """Return the versions trained on one of the clips, and those that do not say on which.
+    def find_trained_on(self, clips: Collection[str]) -> list[Version]:
+        """Return the versions trained on one of the clips.
 
         A version that training started from has passed on what it learnt.
         """
-        marks = {mark_clip(clip) for clip in clips}
-        trained, silent = list[Version](), list[Version]()
+        marks, trained = {mark_clip(clip) for clip in clips}, list[Version]()
         for version in self.all():
-            learnt = version.facts.get("learnt_clips")
-            if marks & {*(learnt or ())} or version.parent in {v.number for v in trained}:
+            learnt = marks & {*version.facts.get("learnt_clips", ())}
+            if learnt or version.parent in {v.number for v in trained}:
                 trained.append(version)
-            elif learnt is None or version.parent in {v.number for v in silent}:
-                silent.append(version)
-        return trained, silent
+        return trained
 
     def weights(self, version: Version) -> Path:
         """Return the weights file of a version.

@@ -19,6 +19,7 @@ from flows.config import RetrainSettings
 from flows.read_config import read_toml
 from flows.training import FILES
 from slgaussian.datasets.splits import read_split
+from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
 from slgaussian.scene import Camera
@@ -241,8 +242,11 @@ def test_retrain_promotes_better_weights_only(tmp_path):
     learn(make_lessons(tmp_path, range(24)), retrain_settings(tmp_path, held_out=0.9), store)
     after = {row["clip"]: row["split"] for row in read_split(tmp_path / "models")}
     assert sides.items() <= after.items() and len(after) == 24
-    assert not outcome.version.is_comparable_to(versions.all()[-1])
+    assert outcome.version.split != versions.all()[-1].split
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
+    (tmp_path / "models" / "places.parquet").unlink()
+    with pytest.raises(InputError, match=r"no places\.parquet, expected .* version 4 has learnt"):
+        learn(make_lessons(tmp_path, range(24)), settings, store)
 
 
 def test_retrain_promotes_refuses_and_rolls_back(tmp_path, slg):
