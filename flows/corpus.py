@@ -66,7 +66,15 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
 def _ingest(config: CorpusSettings, store: ArtifactStore, verbose: bool) -> Prepared:
     arguments = Bounds.of(config), config.trust_cameras, TARGETS
     prepared, clips = _prepare(config, store, INGEST, choose_samples, arguments, verbose)
-    _write_chunks(config.out / "chunks", clips, store)
+    folder = config.out / "chunks"
+    existing = re10k.read_index(folder) if (folder / re10k.INDEX).exists() else {}
+    new = [
+        refs[packed.name]
+        for name, refs in clips.refs.items()
+        if packed.name in refs and name not in existing and clips.owners.get(name) == name
+    ]
+    if new:
+        re10k.write(folder, (clip for ref in new for clip in packed_clips(store, ref).values()))
     return prepared
 
 
@@ -161,15 +169,3 @@ def _write_table(file: Path, stage: str, store: ArtifactStore, clips: Clips) -> 
             count += table.num_rows
             writer.write_table(table)
     return count
-
-
-def _write_chunks(folder: Path, clips: Clips, store: ArtifactStore) -> None:
-    """Add the clips of scenes that may be used to a folder of chunks, unless it has them."""
-    existing = re10k.read_index(folder) if (folder / re10k.INDEX).exists() else {}
-    new = [
-        refs[packed.name]
-        for name, refs in clips.refs.items()
-        if packed.name in refs and name not in existing and clips.owners.get(name) == name
-    ]
-    if new:
-        re10k.write(folder, (clip for ref in new for clip in packed_clips(store, ref).values()))

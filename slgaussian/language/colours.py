@@ -60,16 +60,13 @@ class ColourNames:
         cells = (r << 2 * _BITS) | (g << _BITS) | b
         # Compute memberships of the cells that occur, which are few, then look up every pixel.
         used = np.flatnonzero(np.bincount(cells.ravel(), minlength=1 << 3 * _BITS))
-        row = np.zeros(1 << 3 * _BITS, np.int32)
-        row[used] = np.arange(len(used))
-        return self._memberships(used)[row[cells]]
-
-    def _memberships(self, cells: np.ndarray) -> np.ndarray:
-        levels = np.stack([cells >> 2 * _BITS, cells >> _BITS, cells], -1) & ((1 << _BITS) - 1)
+        levels = np.stack([used >> 2 * _BITS, used >> _BITS, used], -1) & ((1 << _BITS) - 1)
         lab = _weighted_lab(((levels + 0.5) / (1 << _BITS))[None])
         nearest = np.stack([_distance2(lab, points) for points in self._points], -1)
         closeness = np.exp((nearest.min(-1, keepdims=True) - nearest) / (2 * TRANSITION_WIDTH**2))
-        return closeness / closeness.sum(-1, keepdims=True)
+        row = np.zeros(1 << 3 * _BITS, np.int32)
+        row[used] = np.arange(len(used))
+        return (closeness / closeness.sum(-1, keepdims=True))[row[cells]]
 
 
 def _points(hexes: list[str], darkest: float) -> np.ndarray:

@@ -154,15 +154,13 @@ def list_losses(runs: Sequence[Run], rows: Sequence[Row], tolerance: float) -> l
         for row in deciding:
             if row["difference"] < -tolerance:
                 loss = f"lost {-row['difference']:.4f} {row['metric']} on {row['dataset']}"
-                lost.append(f"{run.folder}: {row['method']} {loss} ({_describe(row)})")
+                scenes = model.count_text(row["scenes"], "scene")
+                sure = f"{scenes} of one place: no interval"
+                if row["low"] is not None:
+                    bounds = f"{row['low']:+.4f} to {row['high']:+.4f}"
+                    sure = f"interval of the difference {bounds}, {scenes}"
+                lost.append(f"{run.folder}: {row['method']} {loss} ({sure})")
     return lost
-
-
-def _describe(row: Row) -> str:
-    scenes = model.count_text(row["scenes"], "scene")
-    if row["low"] is None:
-        return f"{scenes} of one place: no interval"
-    return f"interval of the difference {row['low']:+.4f} to {row['high']:+.4f}, {scenes}"
 
 
 def _runs_table(named: Mapping[str, Run]) -> model.Table:

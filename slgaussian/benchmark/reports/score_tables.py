@@ -278,7 +278,12 @@ def scenes_text(results: Sequence[SceneResult]) -> str:
         rows = Rows.join(result.rows for result in members).leading
         scores = score_table(rows.where(method=first[0].method)).to_pylist()
         text = metrics_table({r.scene: r.scene_metrics for r in first}, scores).as_text()
-        blocks.append(f"{text}\n{_conditions_text(scores[0])}" if scores else text)
+        if scores:
+            counts = [model.count_text(scores[0][f"{unit}s"], unit) for unit in ("sample", "scene")]
+            note = f"; {scores[0]['note']}" if scores[0]["note"] else ""
+            text += f"\nby {scores[0]['protocol']} ({conditions(scores[0])}); "
+            text += " of ".join(counts) + note
+        blocks.append(text)
         if rows and len(first) < len(members):
             blocks.append(methods_text(rows))
     return "\n\n".join(blocks)
@@ -289,9 +294,3 @@ def methods_text(samples: Rows) -> str:
     tables = method_tables(samples)
     texts = ("\n".join([t.title, t.as_text(), *map(model.plain, t.notes)]) for t in tables)
     return "\n\n".join(texts)
-
-
-def _conditions_text(score: Mapping[str, Any]) -> str:
-    of = " of ".join(model.count_text(score[f"{unit}s"], unit) for unit in ("sample", "scene"))
-    note = f"; {score['note']}" if score["note"] else ""
-    return f"by {score['protocol']} ({conditions(score)}); {of}{note}"
