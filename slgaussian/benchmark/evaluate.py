@@ -303,7 +303,11 @@ class _Recorder:
             if scored.mask is not None:
                 self.predictions[label, frame, text] = scored.mask
             if self.settings.drawn and label == self.protocols[0].label:
-                self._draw_query(f"{frame}/{text}", hits.get(text), scored, masks[text], ground)
+                hit, truth = hits.get(text), masks[text]
+                heat = np.zeros(truth.shape, np.float32) if hit is None else hit.relevancy
+                drawn = pictures.draw_answer(heat, scored.mask, scored.point, truth, ground)
+                for kind, picture in drawn.items():
+                    self.pictures[f"{kind}/{frame}/{text}"] = picture
 
     def _time_queries(
         self, view: AnsweringView, rendering: float, frame: str, queries: Sequence[str]
@@ -343,18 +347,6 @@ class _Recorder:
     def draw_view(self, view: AnsweringView, frame: str) -> None:
         self.pictures[f"render/{frame}"] = view.rgb
         self.pictures[f"ids/{frame}"] = pictures.paint_labels(view.ids, view.rgb)
-
-    def _draw_query(
-        self, name: str, hit: Result | None, scored: Scored, mask: np.ndarray, ground: np.ndarray
-    ) -> None:
-        heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
-        predicted = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
-        painted = pictures.paint_relevancy_range(heat, ground)
-        spotlit = pictures.spotlight(ground, predicted)
-        answer = pictures.draw_outline(spotlit, predicted, pictures.PREDICTED_COLOUR)
-        for kind, picture in (("relevancy", painted), ("mask", answer)):
-            outlined = pictures.draw_outline(picture, mask, pictures.TRUE_COLOUR)
-            self.pictures[f"{kind}/{name}"] = pictures.draw_point(outlined, scored.point)
 
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]

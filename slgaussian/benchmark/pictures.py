@@ -190,6 +190,23 @@ def number_objects(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
     return draw_captions(paint_labels(labels, image), regions, max(8, round(image.shape[1] / 48)))
 
 
+def draw_answer(
+    relevancy: np.ndarray,
+    mask: np.ndarray | None,
+    point: tuple[float, float] | None,
+    truth: np.ndarray,
+    image: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Draw ``relevancy`` and ``mask`` of an answer, with its point and the outline of the truth."""
+    predicted = np.zeros(truth.shape, bool) if mask is None else mask
+    painted = paint_relevancy_range(relevancy, image)
+    answer = draw_outline(spotlight(image, predicted), predicted, PREDICTED_COLOUR)
+    return {
+        kind: draw_point(draw_outline(picture, truth, TRUE_COLOUR), point)
+        for kind, picture in (("relevancy", painted), ("mask", answer))
+    }
+
+
 def spotlight(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return the photograph with everything outside ``mask`` grey and dim."""
     dim = np.repeat((0.38 * _grey(image))[..., None], 3, -1)
