@@ -22,9 +22,6 @@ from slgaussian.copies import Thumbnail, are_copies
 from slgaussian.errors import InputError, join_names
 from slgaussian.scene import Camera, Estimated
 
-Z_90 = 1.645
-"""Standard deviations on either side of the mean that contain 90 % of a normal distribution."""
-
 FOCAL_STD_FACTOR, FOCAL_STD_FLOOR = 2.0, 0.04
 """The loss underestimates errors of matches, and no lens is a true pinhole: the deviation of a log
 focal length is multiplied by ``FOCAL_STD_FACTOR``, and ``FOCAL_STD_FLOOR`` is added in quadrature.

@@ -69,14 +69,6 @@ def test_only_a_lost_or_damaged_artifact_is_made_again(runs, store, damage):
     assert path.read_bytes() == full
 
 
-def test_a_raised_version_recomputes_the_stage(runs, monkeypatch):
-    import tiny_stages
-
-    runs()
-    monkeypatch.setattr(tiny_stages.add, "version", 2)
-    assert runs()[1] == ["a add", "b add"]
-
-
 def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
     log = tmp_path / "log"
     first = run_tiny(store, {"a": tiny(6, 1, log)})
