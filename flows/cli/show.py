@@ -263,7 +263,7 @@ def export(
         typer.echo(f"{size}, to open in any browser, without a network", err=True)
     else:
         field = SemanticField.load(folder).drop_hidden()
-        save_gaussians(field.gaussians, out, field.labels())
+        save_gaussians(field.gaussians, out, field.labels(), field.cameras)
     typer.echo(out)
 
 

@@ -98,7 +98,7 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     }
     integers = {"source": arrays["source"]}
     if labels is not None:
-        integers["label"] = _check_labels(labels, n)
+        integers["label"] = check_labels(labels, n)
     kinds = dict.fromkeys(columns, "<f4")
     for name, values in integers.items():
         kinds[name] = "<f4" if np.array_equal(values.astype("<f4"), values) else "<i4"
@@ -264,7 +264,8 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
-def _check_labels(labels: np.ndarray, n: int) -> np.ndarray:
+def check_labels(labels: np.ndarray, n: int) -> np.ndarray:
+    """Return labels as an array, int [n]; InputError if they are none."""
     labels = np.asarray(labels)
     if labels.shape != (n,) or labels.dtype.kind not in "iu":
         raise InputError(

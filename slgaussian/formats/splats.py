@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.gaussians import Gaussians
+from slgaussian.scene import Camera
 
 READERS = {
     ".ply": "slgaussian.formats.ply:load_ply",
@@ -20,8 +22,14 @@ READERS = {
 WRITERS = {
     ".ply": "slgaussian.formats.ply:save_ply",
     ".spz": "slgaussian.formats.spz:save_spz",
+    ".usda": "slgaussian.formats.usd:save_usd",
+    ".usdc": "slgaussian.formats.usd:save_usd",
+    ".usdz": "slgaussian.formats.usd:save_usd",
 }
 """Functions by suffix: (Gaussians, path, labels int [N] or None)."""
+
+WITH_CAMERAS = (".usda", ".usdc", ".usdz")
+"""Formats whose functions also take the cameras of the views, {name: Camera} or None."""
 
 
 def load_gaussians(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
@@ -31,14 +39,18 @@ def load_gaussians(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
 
 
 def save_gaussians(
-    gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None
+    gaussians: Gaussians,
+    path: str | Path,
+    labels: np.ndarray | None = None,
+    cameras: Mapping[str, Camera] | None = None,
 ) -> None:
-    """Write Gaussians atomically, with the object of each where the format has a place for it.
+    """Write Gaussians atomically, with their objects and cameras where the format has a place.
 
     Raises:
         InputError: If the suffix names no format, and as the writer of the suffix.
     """
-    _function(path, WRITERS)(gaussians, path, labels)
+    more = [cameras] if Path(path).suffix.lower() in WITH_CAMERAS else []
+    _function(path, WRITERS)(gaussians, path, labels, *more)
 
 
 def _function(path: str | Path, table: dict[str, str]) -> Any:
