@@ -22,13 +22,14 @@ READERS = {
 WRITERS = {
     ".ply": "slgaussian.formats.ply:save_ply",
     ".spz": "slgaussian.formats.spz:save_spz",
+    ".rrd": "slgaussian.formats.rrd:save_rrd",
     ".usda": "slgaussian.formats.usd:save_usd",
     ".usdc": "slgaussian.formats.usd:save_usd",
     ".usdz": "slgaussian.formats.usd:save_usd",
 }
 """Functions by suffix: (Gaussians, path, labels int [N] or None)."""
 
-WITH_CAMERAS = (".usda", ".usdc", ".usdz")
+WITH_CAMERAS = (".rrd", ".usda", ".usdc", ".usdz")
 """Formats whose functions also take the cameras of the views, {name: Camera} or None."""
 
 
