@@ -70,14 +70,10 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     """
     check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
     gaussians.check()
+    check_degree(gaussians)
     arrays, n = gaussians.to_arrays(), len(gaussians)
     sh, features = arrays["sh"], arrays.get("features", np.empty((n, 0)))
     rest = sh.shape[1] - 1
-    if 3 * rest not in REST_COUNTS:
-        raise InputError(
-            f"gaussians sh: found {sh.shape[1]} coefficients a colour, expected 1, 4, 9 or 16: a "
-            ".ply holds harmonics of degree 0 to 3"
-        )
     with np.errstate(divide="ignore"):  # log of 0; MIN_LOGIT is written instead
         logits = logit(arrays["opacities"].astype(np.float64)).clip(MIN_LOGIT, MAX_LOGIT)
         logs = np.log(arrays["scales"].astype(np.float64)).clip(MIN_LOGIT)
@@ -262,6 +258,17 @@ def _whole(values: np.ndarray) -> np.ndarray | None:
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+
+
+def check_degree(gaussians: Gaussians) -> int:
+    """Return the degree of the harmonics, 0 to 3; InputError if it is another."""
+    terms = gaussians.to_arrays()["sh"].shape[1]
+    if 3 * (terms - 1) not in REST_COUNTS:
+        raise InputError(
+            f"gaussians sh: found {terms} coefficients a colour, expected 1, 4, 9 or 16: the file "
+            "holds harmonics of degree 0 to 3"
+        )
+    return int(np.sqrt(terms)) - 1
 
 
 def check_labels(labels: np.ndarray, n: int) -> np.ndarray:

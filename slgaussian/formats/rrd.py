@@ -16,7 +16,7 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
-from slgaussian.formats.ply import check_labels
+from slgaussian.formats.ply import check_degree, check_labels
 from slgaussian.gaussians import SH_C0, Gaussians
 from slgaussian.io import write_file
 from slgaussian.scene import Camera
@@ -49,24 +49,19 @@ def save_rrd(
             f"{install_line('rerun')}"
         ) from error
     gaussians.check()
+    degree, n = check_degree(gaussians), len(gaussians)
     arrays = gaussians.to_arrays()
-    n, terms = arrays["sh"].shape[:2]
-    if terms not in (1, 4, 9, 16):
-        raise InputError(
-            f"gaussians sh: found {terms} coefficients a colour, expected 1, 4, 9 or 16: an .rrd "
-            "holds harmonics of degree 0 to 3"
-        )
     rgba = np.column_stack([arrays["sh"][:, 0] * SH_C0 + 0.5, arrays["opacities"]])
     harmonics = np.zeros((n, 15, 3), np.float16)
-    harmonics[:, : terms - 1] = arrays["sh"][:, 1:]
+    harmonics[:, : (degree + 1) ** 2 - 1] = arrays["sh"][:, 1:]
     quats = arrays["quats"] / np.linalg.norm(arrays["quats"], axis=1, keepdims=True)
     splats = GaussianSplats3D(
         arrays["means"],
         scales=arrays["scales"],
         quaternions=quats[:, [1, 2, 3, 0]],
         colors=np.rint(rgba.clip(0, 1) * 255).astype(np.uint8),
-        sh_coefficients=harmonics if terms > 1 else None,
-        spherical_harmonics_degree=int(np.sqrt(terms)) - 1,
+        sh_coefficients=harmonics if degree else None,
+        spherical_harmonics_degree=degree,
     )
     digest = hashlib.sha256(b"".join(arrays[name].tobytes() for name in sorted(arrays)))
     with tempfile.TemporaryDirectory() as folder:

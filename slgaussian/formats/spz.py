@@ -24,6 +24,7 @@ import pyarrow as pa
 
 from slgaussian.errors import InputError
 from slgaussian.formats.axes import turn_axes
+from slgaussian.formats.ply import check_degree
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
@@ -53,13 +54,9 @@ def save_spz(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
             file cannot be written.
     """
     gaussians.check()
+    degree = check_degree(gaussians)
     arrays = turn_axes(gaussians).to_arrays()
     n, terms = arrays["sh"].shape[:2]
-    if terms not in (1, 4, 9, 16):
-        raise InputError(
-            f"gaussians sh: found {terms} coefficients a colour, expected 1, 4, 9 or 16: an .spz "
-            "holds harmonics of degree 0 to 3"
-        )
     reach = float(np.abs(arrays["means"]).max(initial=1e-6))
     bits = min(MAX_BITS, int(np.floor(np.log2((2**23 - 1) / reach))))
     if bits < 0:
@@ -88,7 +85,6 @@ def save_spz(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     steps = np.repeat([8, 16], [3, 12])[: terms - 1, None]
     higher = np.rint(arrays["sh"][:, 1:] * 128) + 128
     higher = np.floor((higher + steps // 2) / steps) * steps
-    degree = int(np.sqrt(terms)) - 1
     parts = [
         struct.pack("<IIIBBBB", MAGIC, VERSION, n, degree, bits, 0, 0),
         fixed.view(np.uint8).reshape(n, 3, 4)[..., :3].tobytes(),

@@ -22,7 +22,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 from slgaussian.formats.axes import AXIS_SIGNS, turn_axes
-from slgaussian.formats.ply import check_labels
+from slgaussian.formats.ply import check_degree, check_labels
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 from slgaussian.scene import Camera
@@ -60,13 +60,8 @@ def save_usd(
             f"{path}: needs usd-core 26.3 or newer ({error}); install it with {install_line('usd')}"
         ) from error
     gaussians.check()
+    degree, n = check_degree(gaussians), len(gaussians)
     arrays = turn_axes(gaussians).to_arrays()
-    n, terms = arrays["sh"].shape[:2]
-    if terms not in (1, 4, 9, 16):
-        raise InputError(
-            f"gaussians sh: found {terms} coefficients a colour, expected 1, 4, 9 or 16: readers "
-            "of USD take harmonics of degree 0 to 3"
-        )
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -81,12 +76,12 @@ def save_usd(
     field.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(quats[:, [1, 2, 3, 0]]))
     field.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(scales))
     field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(arrays["opacities"]))
-    field.CreateRadianceSphericalHarmonicsDegreeAttr(int(np.sqrt(terms)) - 1)
+    field.CreateRadianceSphericalHarmonicsDegreeAttr(degree)
     harmonics = field.CreateRadianceSphericalHarmonicsCoefficientsAttr(
         Vt.Vec3fArray.FromNumpy(arrays["sh"].reshape(-1, 3))
     )
     harmonics.SetMetadata("interpolation", UsdGeom.Tokens.vertex)
-    harmonics.SetMetadata("elementSize", terms)
+    harmonics.SetMetadata("elementSize", (degree + 1) ** 2)
     reach = 3 * scales.max(1, keepdims=True)
     if n:
         corners = [(arrays["means"] - reach).min(0), (arrays["means"] + reach).max(0)]
