@@ -72,11 +72,16 @@ def test_save_rrd_writes_numbers_that_reruns_reader_reads_back(tmp_path, degree)
 
 def test_save_rrd_writes_the_same_content_at_any_time(tmp_path):
     """Bytes differ: Rerun numbers chunks by the time, and writes metadata in any order."""
+    from rerun.chunk import RrdReader
+
     for name in "ab":
         save_gaussians(make_gaussians(), tmp_path / f"{name}.rrd", LABELS, make_cameras())
     assert run("rrd", "verify", tmp_path / "a.rrd").returncode == 0
     same = run("rrd", "compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd")
     assert same.returncode == 0, same.stderr
+    save_gaussians(make_gaussians(seed=1), tmp_path / "c.rrd")
+    ids = [RrdReader(tmp_path / f"{name}.rrd").recordings()[0].recording_id for name in "abc"]
+    assert ids[0] == ids[1] != ids[2]  # those of one id are drawn as one scene
 
 
 def test_save_rrd_is_drawn_by_reruns_viewer_where_it_is(tmp_path):
