@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -42,8 +43,11 @@ _DC, _SCALES = ([f"{prefix}_{i}" for i in range(3)] for prefix in ("f_dc", "scal
 _ROTATIONS = [f"rot_{i}" for i in range(4)]
 _REQUIRED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
 
-DISTORTING = {"filter_3D", "scaling_factor"}
-"""Properties of Mip-Splatting and others by which Gaussians are drawn otherwise than here."""
+DISTORTING = {"filter_3D", "scaling_factor", "trbf_center"}
+"""Properties of Mip-Splatting, of Spacetime Gaussians and others by which Gaussians are drawn
+otherwise than here."""
+
+MANY = 1000  # Gaussians whose opacities show whether they are logits
 
 _ANTIALIASED = re.compile(
     r"anti.?alias\w*\W+(1|true|yes|on)\b|mode\w*\W+(mip|anti.?alias)", re.IGNORECASE
@@ -115,6 +119,8 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     Doubles that float32 cannot hold as positions get a local origin. Missing ``f_rest_*`` mean
     view-independent colours; without an integer ``source`` the Gaussians are numbered from 0.
     Rotations are normalised, normals are dropped, and infinite logits give opacities 0 and 1.
+    Opacities that all are from 0 to 1, as MVSplat and pixelSplat write them, are no logits, and
+    a warning says so.
 
     Returns:
         gaussians: Gaussians. In float32. :func:`save_ply` rounds logits and logarithms: opacities
@@ -133,10 +139,19 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     # A list property is not a numeric column; it can only be extra.
     fields = table.dtype.names or ()
     names = [name for name in fields if table.dtype[name].kind != "O"]
+    if "packed_position" in names:
+        raise InputError(
+            f"{path}: is a compressed .ply of PlayCanvas; convert it, as by `npx "
+            f"@playcanvas/splat-transform {Path(path).name} plain.ply`"
+        )
+    if {"scale_0", "scale_1"} <= set(names) and "scale_2" not in names:
+        raise InputError(
+            f"{path}: holds 2D Gaussians, which have no scale_2; expected 3D Gaussian splatting"
+        )
     if missing := [name for name in _REQUIRED if name not in names]:
         raise InputError(
             f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; expected "
-            "plain 3D Gaussian splatting, not compressed, 2D Gaussians, points or a mesh"
+            "plain 3D Gaussian splatting, not points or a mesh"
         )
     rest, semantic = _consecutive_names(names, "f_rest_"), _consecutive_names(names, "f_sem_")
     if len(rest) not in REST_COUNTS:
@@ -177,7 +192,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
         "means": read(_MEANS),
         "scales": read(_SCALES, np.exp),
         "quats": (quats / lengths).astype(np.float32),
-        "opacities": read(["opacity"], expit)[:, 0],
+        "opacities": read(["opacity"], None if _are_opacities(path, table) else expit)[:, 0],
         "sh": sh,
         "source": np.arange(n, dtype=np.int32) if source is None else source,
     }
@@ -201,6 +216,25 @@ def _origin(comments: Sequence[str]) -> np.ndarray:
         if match := re.fullmatch(rf"origin {_NUMBER} {_NUMBER} {_NUMBER}", line.strip()):
             return np.array(match.groups(), np.float64)
     return np.zeros(3)
+
+
+def _are_opacities(path: str | Path, table: np.ndarray) -> bool:
+    """Return whether a file has opacities instead of their logits, and warn if so.
+
+    As logits of many Gaussians, numbers of which none is below 0 or above 1 but some are far apart
+    would be opacities that fill .5 to .73.
+    """
+    opacity = table["opacity"]
+    if len(table) < MANY:
+        return False
+    found = opacity.min() >= 0 and opacity.max() <= 1 and np.ptp(opacity) > 0.5
+    if found:
+        warnings.warn(
+            f"{path}: has opacities from {opacity.min():.2g} to {opacity.max():.2g}, as MVSplat "
+            "and pixelSplat write them, where logits are expected; taken as they are",
+            stacklevel=3,
+        )
+    return bool(found)
 
 
 def _finite(
