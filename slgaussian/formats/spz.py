@@ -108,6 +108,27 @@ def load_spz(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
         InputError: If the file is missing, not an ``.spz``, truncated, of another version or above
             degree 3, or if a flag or an extension demands another reading or rendering.
     """
+    bits, (means, opacities, colours, scales, quats, higher) = _read(path)
+    n = len(means)
+    fixed = np.zeros((n, 3, 4), np.uint8)
+    fixed[..., 1:] = means.reshape(n, 3, 3)  # the sign comes along in the highest byte
+    dc = (colours.astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOUR_SCALE)
+    sh = np.concatenate([dc, (higher.astype(np.float32) - 128) / 128], 1)
+    gaussians = Gaussians.from_arrays(
+        {
+            "means": (fixed.view("<i4")[..., 0] >> 8).astype(np.float32) / np.float32(2**bits),
+            "scales": np.exp(scales.astype(np.float32) / 16 - 10),
+            "quats": unpack_quats(quats)[:, [3, 0, 1, 2]],
+            "opacities": opacities[:, 0].astype(np.float32) / 255,
+            "sh": sh.reshape(n, sh.shape[1] // 3, 3),
+            "source": np.arange(n, dtype=np.int32),
+        }
+    )
+    return turn_axes(gaussians), {}
+
+
+def _read(path: str | Path) -> tuple[int, list[np.ndarray]]:
+    """Return the fractional bits of the means, and the six attributes, each uint8 [N, width]."""
     try:
         data = Path(path).read_bytes()
     except OSError as error:
@@ -115,7 +136,7 @@ def load_spz(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
         raise InputError(f"{path}: cannot be read ({why}); give an .spz file") from error
     try:
         data = gzip.decompress(data) if data.startswith(b"\x1f\x8b") else data
-        magic, version, n, degree, bits, flags, _ = struct.unpack_from("<IIIBBBB", data)
+        magic, version, n, degree, bits, flags, _ = struct.unpack("<IIIBBBB", data[:16])
         if magic != MAGIC or bits > 24:
             raise ValueError("its header is none")
         for found, refused in (
@@ -128,8 +149,7 @@ def load_spz(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
                     f"{path}: has {found}, expected an .spz of version 2, 3 or 4 with harmonics of "
                     "degree 0 to 3; write it again as such"
                 )
-        terms = (degree + 1) ** 2
-        widths = [9, 1, 3, 3, 3 if version == 2 else 4, 3 * (terms - 1)]
+        widths = [9, 1, 3, 3, 3 if version == 2 else 4, 3 * (degree + 1) ** 2 - 3]
         *streams, extensions = _split(data, version, [n * width for width in widths])
         if flags & EXTENDED:
             _check_extensions(path, extensions)
@@ -146,25 +166,10 @@ def load_spz(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: is marked as trained with anti-aliasing, by which its Gaussians are drawn "
             "otherwise than here; export it as plain 3D Gaussian splatting"
         )
-    means, opacities, colours, scales, quats, higher = (
+    return bits, [
         np.frombuffer(stream, np.uint8).reshape(n, width)
         for stream, width in zip(streams, widths, strict=True)
-    )
-    fixed = np.zeros((n, 3, 4), np.uint8)
-    fixed[..., 1:] = means.reshape(n, 3, 3)  # the sign comes along in the highest byte
-    dc = (colours.astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOUR_SCALE)
-    sh = np.concatenate([dc, (higher.astype(np.float32) - 128) / 128], 1).reshape(n, terms, 3)
-    gaussians = Gaussians.from_arrays(
-        {
-            "means": (fixed.view("<i4")[..., 0] >> 8).astype(np.float32) / np.float32(2**bits),
-            "scales": np.exp(scales.astype(np.float32) / 16 - 10),
-            "quats": unpack_quats(quats)[:, [3, 0, 1, 2]],
-            "opacities": opacities[:, 0].astype(np.float32) / 255,
-            "sh": sh,
-            "source": np.arange(n, dtype=np.int32),
-        }
-    )
-    return turn_axes(gaussians), {}
+    ]
 
 
 def _split(data: bytes, version: int, sizes: list[int]) -> list[bytes]:
@@ -229,6 +234,7 @@ def unpack_quats(packed: np.ndarray) -> np.ndarray:
     z, 127.5 (component + 1), and w is positive.
     """
     quats, rows = np.empty((len(packed), 4), np.float32), np.arange(len(packed))
+    smaller: np.ndarray
     if packed.shape[1] == 3:
         largest = np.full(len(packed), 3)
         smaller = packed / np.float32(127.5) - 1
