@@ -26,6 +26,7 @@ from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError, check_type
+from slgaussian.formats.writable import check_labels, check_writable
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 from slgaussian.scene import local_origin
@@ -73,8 +74,7 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
             have another shape or type, or the file cannot be written.
     """
     check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
-    gaussians.check()
-    check_degree(gaussians)
+    check_writable(gaussians, "a .ply")
     arrays, n = gaussians.to_arrays(), len(gaussians)
     sh, features = arrays["sh"], arrays.get("features", np.empty((n, 0)))
     rest = sh.shape[1] - 1
@@ -292,26 +292,3 @@ def _whole(values: np.ndarray) -> np.ndarray | None:
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-
-
-def check_degree(gaussians: Gaussians) -> int:
-    """Return the degree of the harmonics, 0 to 3; InputError if it is another."""
-    terms = gaussians.to_arrays()["sh"].shape[1]
-    if 3 * (terms - 1) not in REST_COUNTS:
-        raise InputError(
-            f"gaussians sh: found {terms} coefficients a colour, expected 1, 4, 9 or 16: the file "
-            "holds harmonics of degree 0 to 3"
-        )
-    return int(np.sqrt(terms)) - 1
-
-
-def check_labels(labels: np.ndarray, n: int) -> np.ndarray:
-    """Return labels as an array, int [n]; InputError if they are none."""
-    labels = np.asarray(labels)
-    if labels.shape != (n,) or labels.dtype.kind not in "iu":
-        raise InputError(
-            f"labels: found {labels.dtype} {labels.shape}, expected an integer a Gaussian, ({n},)"
-        )
-    if n and not -(2**31) <= labels.min() <= labels.max() < 2**31:
-        raise InputError(f"labels: found {labels.min()} to {labels.max()}, expected 32-bit numbers")
-    return labels

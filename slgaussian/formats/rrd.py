@@ -8,6 +8,7 @@ harmonics 16-bit floats; Rerun calls its archetype unstable.
 from __future__ import annotations
 
 import hashlib
+import math
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
-from slgaussian.formats.ply import check_degree, check_labels
+from slgaussian.formats.writable import check_labels, check_writable
 from slgaussian.gaussians import SH_C0, Gaussians
 from slgaussian.io import write_file
 from slgaussian.scene import Camera
@@ -48,20 +49,20 @@ def save_rrd(
             f"{path}: needs rerun-sdk 0.41 or newer ({error}); install it with "
             f"{install_line('rerun')}"
         ) from error
-    gaussians.check()
-    degree, n = check_degree(gaussians), len(gaussians)
+    check_writable(gaussians, "an .rrd")
     arrays = gaussians.to_arrays()
+    n, terms = arrays["sh"].shape[:2]
     rgba = np.column_stack([arrays["sh"][:, 0] * SH_C0 + 0.5, arrays["opacities"]])
     harmonics = np.zeros((n, 15, 3), np.float16)
-    harmonics[:, : (degree + 1) ** 2 - 1] = arrays["sh"][:, 1:]
+    harmonics[:, : terms - 1] = arrays["sh"][:, 1:]
     quats = arrays["quats"] / np.linalg.norm(arrays["quats"], axis=1, keepdims=True)
     splats = GaussianSplats3D(
         arrays["means"],
         scales=arrays["scales"],
         quaternions=quats[:, [1, 2, 3, 0]],
         colors=np.rint(rgba.clip(0, 1) * 255).astype(np.uint8),
-        sh_coefficients=harmonics if degree else None,
-        spherical_harmonics_degree=degree,
+        sh_coefficients=harmonics if terms > 1 else None,
+        spherical_harmonics_degree=math.isqrt(terms) - 1,
     )
     digest = hashlib.sha256(b"".join(arrays[name].tobytes() for name in sorted(arrays)))
     with tempfile.TemporaryDirectory() as folder:

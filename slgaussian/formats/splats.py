@@ -30,7 +30,7 @@ WRITERS = {
 """Functions by suffix: (Gaussians, path, labels int [N] or None)."""
 
 WITH_CAMERAS = (".rrd", ".usda", ".usdc", ".usdz")
-"""Formats whose functions also take the cameras of the views, {name: Camera} or None."""
+"""Formats that also hold the cameras of the views, {name: Camera}."""
 
 
 def load_gaussians(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
@@ -50,8 +50,8 @@ def save_gaussians(
     Raises:
         InputError: If the suffix names no format, and as the writer of the suffix.
     """
-    more = [cameras] if Path(path).suffix.lower() in WITH_CAMERAS else []
-    _function(path, WRITERS)(gaussians, path, labels, *more)
+    options = {"cameras": cameras} if Path(path).suffix.lower() in WITH_CAMERAS else {}
+    _function(path, WRITERS)(gaussians, path, labels, **options)
 
 
 def _function(path: str | Path, table: dict[str, str]) -> Any:

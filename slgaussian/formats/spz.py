@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from slgaussian.errors import InputError
 from slgaussian.formats.axes import turn_axes
-from slgaussian.formats.ply import check_degree
+from slgaussian.formats.writable import check_writable
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
@@ -53,8 +53,7 @@ def save_spz(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
             the scene is too large for 24-bit means, its unit does not suit 8-bit scales, or the
             file cannot be written.
     """
-    gaussians.check()
-    degree = check_degree(gaussians)
+    check_writable(gaussians, "an .spz")
     arrays = turn_axes(gaussians).to_arrays()
     n, terms = arrays["sh"].shape[:2]
     reach = float(np.abs(arrays["means"]).max(initial=1e-6))
@@ -85,6 +84,7 @@ def save_spz(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     steps = np.repeat([8, 16], [3, 12])[: terms - 1, None]
     higher = np.rint(arrays["sh"][:, 1:] * 128) + 128
     higher = np.floor((higher + steps // 2) / steps) * steps
+    degree = int(np.sqrt(terms)) - 1
     parts = [
         struct.pack("<IIIBBBB", MAGIC, VERSION, n, degree, bits, 0, 0),
         fixed.view(np.uint8).reshape(n, 3, 4)[..., :3].tobytes(),

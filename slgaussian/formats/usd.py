@@ -10,6 +10,7 @@ The objects are a primvar, as Gaussians of several prims might be drawn one prim
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import time
@@ -22,7 +23,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 from slgaussian.formats.axes import AXIS_SIGNS, turn_axes
-from slgaussian.formats.ply import check_degree, check_labels
+from slgaussian.formats.writable import check_labels, check_writable
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 from slgaussian.scene import Camera
@@ -59,9 +60,9 @@ def save_usd(
         raise InputError(
             f"{path}: needs usd-core 26.3 or newer ({error}); install it with {install_line('usd')}"
         ) from error
-    gaussians.check()
-    degree, n = check_degree(gaussians), len(gaussians)
+    check_writable(gaussians, "a .usd")
     arrays = turn_axes(gaussians).to_arrays()
+    n, terms = arrays["sh"].shape[:2]
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -76,12 +77,12 @@ def save_usd(
     field.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(quats[:, [1, 2, 3, 0]]))
     field.CreateScalesAttr(Vt.Vec3fArray.FromNumpy(scales))
     field.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(arrays["opacities"]))
-    field.CreateRadianceSphericalHarmonicsDegreeAttr(degree)
+    field.CreateRadianceSphericalHarmonicsDegreeAttr(math.isqrt(terms) - 1)
     harmonics = field.CreateRadianceSphericalHarmonicsCoefficientsAttr(
         Vt.Vec3fArray.FromNumpy(arrays["sh"].reshape(-1, 3))
     )
     harmonics.SetMetadata("interpolation", UsdGeom.Tokens.vertex)
-    harmonics.SetMetadata("elementSize", (degree + 1) ** 2)
+    harmonics.SetMetadata("elementSize", terms)
     reach = 3 * scales.max(1, keepdims=True)
     if n:
         corners = [(arrays["means"] - reach).min(0), (arrays["means"] + reach).max(0)]

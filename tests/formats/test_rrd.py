@@ -18,9 +18,11 @@ from tests.formats.test_usd import FAR, LABELS, make_cameras
 rr = pytest.importorskip("rerun", reason="needs the extra rerun: pip install rerun-sdk")
 
 
-def run(*words, **given) -> subprocess.CompletedProcess:
+def run(home, *words) -> subprocess.CompletedProcess:
+    """Run Rerun's program as in a first session, which sends nothing to its makers."""
     command = [sys.executable, "-m", "rerun", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, **given)
+    env = os.environ | {"HOME": str(home), "XDG_RUNTIME_DIR": str(home)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=env)
 
 
 def read(path) -> dict[str, list]:
@@ -76,8 +78,8 @@ def test_save_rrd_writes_the_same_content_at_any_time(tmp_path):
 
     for name in "ab":
         save_gaussians(make_gaussians(), tmp_path / f"{name}.rrd", LABELS, make_cameras())
-    assert run("rrd", "verify", tmp_path / "a.rrd").returncode == 0
-    same = run("rrd", "compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd")
+    assert run(tmp_path, "rrd", "verify", tmp_path / "a.rrd").returncode == 0
+    same = run(tmp_path, "rrd", "compare", "--unordered", tmp_path / "a.rrd", tmp_path / "b.rrd")
     assert same.returncode == 0, same.stderr
     save_gaussians(make_gaussians(seed=1), tmp_path / "c.rrd")
     ids = [RrdReader(tmp_path / f"{name}.rrd").recordings()[0].recording_id for name in "abc"]
@@ -105,9 +107,9 @@ def test_save_rrd_is_drawn_by_reruns_viewer_where_it_is(tmp_path):
     look = rrb.Blueprint(view, collapse_panels=True, auto_views=False, auto_layout=False)
     look.save("slgaussian", tmp_path / "a.rbl")
     drawn = run(
+        tmp_path,
         *(tmp_path / "a.rrd", tmp_path / "a.rbl", "--headless", "--port", "0"),
         *("--window-size", "1200x900", "--screenshot-to", tmp_path / "a.png"),
-        env=os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "HOME": str(tmp_path)},
     )
     if not (tmp_path / "a.png").exists():
         pytest.skip(f"no Vulkan driver, such as mesa-vulkan-drivers: {drawn.stderr[-300:]}")
