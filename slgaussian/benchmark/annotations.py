@@ -28,9 +28,9 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, PositiveInt
 
-from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.checks import companion, match_rank, name_parts
 from slgaussian.errors import InputError
+from slgaussian.formats.documents import check_document, read_json
 from slgaussian.formats.images import TooLargeError, check_size, read_mask
 from slgaussian.formats.resampling import Window
 from slgaussian.io import read_lines, short_repr
