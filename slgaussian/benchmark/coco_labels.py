@@ -28,8 +28,8 @@ def list_frames(folder: Path, file: Path) -> dict[str, tuple[str, ...]]:
     others = (other for other in sorted(folder.rglob("*.json")) if other != file)
     if other := next((other for other in others if b'"objects"' in other.read_bytes()), None):
         raise InputError(
-            f"{folder}: {file.name} has labels of COCO, and {other.name} those of a frame; give the "
-            "one or the other"
+            f"{folder}: {file.name} has labels of COCO, and {other.name} those of a frame; give "
+            "the one or the other"
         )
     coco = read_coco(file)
     return {

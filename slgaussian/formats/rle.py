@@ -41,7 +41,7 @@ def encode_ids(ids: np.ndarray) -> dict[int, RunLengths]:
     """Encode the mask of every id above 0 of a map int [H, W], in ascending order."""
     flat = ids.ravel(order="F")
     starts = np.flatnonzero(np.diff(flat, prepend=0))
-    runs, owners = np.stack([starts, np.append(starts[1:], flat.size)], 1), flat[starts]
+    runs, owners = np.stack([starts, np.append(starts, flat.size)[1:]], 1), flat[starts]
     used = np.unique(owners[owners > 0])
     return {int(id_): _compress(runs[owners == id_].ravel(), *ids.shape) for id_ in used}
 
