@@ -1,6 +1,6 @@
 """Layouts of object masks that other programs read: Gaussian Grouping, LangSplat and COCO.
 
-- Gaussian Grouping (https://github.com/lkeab/gaussian-grouping, docs/train.md):
+- Gaussian Grouping (https://github.com/lkeab/gaussian-grouping):
   ``object_mask/NAME.png``, grey with 8 bits, the same id in all views, 0 for none. Its loader does
   not resize: masks have the size of the photographs (``-r 1``).
 - LangSplat (https://github.com/minghanqin/LangSplat): ``language_features/NAME_s.npy`` [4, H, W],
