@@ -172,9 +172,11 @@ class PrecomputedProposer(_Masks):
         """Read the masks of a view; none for a ``region``, as all are given before."""
         view, masks = frame.view, list[np.ndarray]()
         layout, _ = self.source
-        if region is None and layout == "coco":
+        if region is not None:
+            return Proposals(np.zeros((0, *region.shape), bool), np.zeros(0, np.float32))
+        if layout == "coco":
             masks = [mask for _, mask in self.annotations(view)]
-        elif region is None:
+        else:
             if layout == "langsplat":
                 place = self.find(view, ["_s.npy"], "{0}_s.npy")
                 levels = read_segments(place)

@@ -1,6 +1,7 @@
 """`slgaussian masks`, and fields built from its output."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,6 +99,10 @@ def test_masks_in_the_layout_of_another_program_build_the_same_field(words, slg,
         read = [f"--{kind}", "precomputed", "--set", f"precomputed.folder={folder}"]
         assert slg("field", *words, *read, "-o", f"field-{folder}")[0] == 0
         fields.append(SemanticField.load(f"field-{folder}"))
+    if layout.startswith("coco"):
+        annotations = json.loads(Path("other/annotations.json").read_text())["annotations"]
+        is_polygon = {isinstance(each["segmentation"], list) for each in annotations}
+        assert is_polygon == {layout == "coco-polygons"}
     direct, other = (field.render(field.cameras["view_00.png"]) for field in fields)
     if layout == "coco-polygons":
         assert (direct.ids == other.ids).mean() > 0.98
