@@ -102,7 +102,8 @@ def write_langsplat(
         scale = max(1.0, window.photo_height / MAX_ROWS)
         size = int(window.photo_height / scale), int(window.photo_width / scale)
         ids = window.spread_ids(labels, *size)
-        segments, features = np.full((len(levels), *ids.shape), -1, np.int32), []
+        segments = np.full((len(levels), *ids.shape), -1, np.int32)
+        features: list[np.ndarray] = []
         for segment, level in zip(segments, levels, strict=True):
             nodes, places = np.unique(
                 level[np.searchsorted(bank.ids, ids[ids > 0])], return_inverse=True
