@@ -174,7 +174,8 @@ class Settings(Engine, Method):
         None, description="Index file of the data, written by `benchmark` or by hand."
     )
     labels: Path | None = Field(
-        None, description="Folder of the labels, if they are not in the folder of the data."
+        None,
+        description="Labels, a folder or a COCO file, if they are not in the folder of the data.",
     )
     rooms: str | None = Field(
         None, description="Procedural rooms to score as well, by their seeds: FIRST-LAST."

@@ -77,7 +77,7 @@ def label_places(
             place = LABELS[format].format(scene=name)
         else:
             place = name if options else ""  # of a folder of several scenes
-        if ((labels or data) / place).is_dir():
+        if ((labels or data) / place).exists():
             yield name, options, place
 
 

@@ -116,7 +116,7 @@ def _scene(
     place = (label_folder or data) / pair.labels
     labels = place if categories or label_folder is not None else None
     if not categories and label_folder is not None:
-        frames = labelled_frames(place) if place.is_dir() else {}
+        frames = labelled_frames(place) if place.exists() else {}
         targets = [name for name in targets if name in frames]
         categories = list(dict.fromkeys(c for name in targets for c in frames[name]))
         if not categories:

@@ -106,6 +106,8 @@ def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
     for name, options, place in places:
         scene = datasets.load(format, data, **options)
         texts = {frame: of for frame, of in labelled_frames(root / place).items() if of}
+        if not texts:
+            raise InputError(f"{root / place}: no frame is labelled; label one, or give others")
         views = scene.views(list(texts), target_size(settings.size))
         masks: dict[str, Any] = {}
         boxes: dict[str, Any] = {}

@@ -17,9 +17,13 @@ from slgaussian.language.rules import Rules
 
 if TYPE_CHECKING:
     from slgaussian.field import SemanticField
+    from slgaussian.language.scoring import BankReader
 
 MAX_DESCRIBING_WORDS = 3
 """Number of words that describe an object."""
+
+NO_FIT = 0.5
+"""Relevancy up to which a text fits no better than the canonical phrases."""
 
 RENDERED_SIDE = 320
 """Longest side, in pixels, of the views that are rendered for confidence and the room."""
@@ -146,6 +150,17 @@ def rank_words(
         tuple((words[k], float(scores[k])) for k in rows)
         for scores, rows in zip(relevancies, best, strict=True)
     ]
+
+
+def name_objects(reader: BankReader) -> dict[int, str]:
+    """Return the best word of each object by id; "object ID" where no word fits."""
+    words = list(reader.encoder.describing)
+    relevancies, names = reader.relevancies(words, Rules()), {}
+    for column, id_ in enumerate(reader.bank.ids.tolist()):
+        best = relevancies[:, column].argmax()
+        fits = relevancies[best, column] > NO_FIT
+        names[id_] = words[best] if fits else f"object {id_}"
+    return names
 
 
 def suggest_word(field: SemanticField) -> str | None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from slgaussian.cameras.estimated import EstimatedCameras
 MASKS_FILE = "masks.json"
 """File in a folder of masks with their settings."""
+MaskFormat = Literal["ids", "gaussian-grouping", "langsplat", "coco", "coco-polygons"]
 PREVIEW_FILE = "look.jpg"
 """Picture of the masks for viewing; a JPEG, as view names end in .png."""
 
@@ -182,55 +183,80 @@ def _pairs_text(estimate: EstimatedCameras) -> str:
     return table_text(rows, "<>>>><")
 
 
-@options.add_options("preset", "size", *options.COMPONENTS)
+@options.add_options("preset", "size", *options.COMPONENTS, "encoder")
 def masks(
     ctx: typer.Context,
     photos: options.Photos,
     cameras: options.Cameras = None,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
+    format: Annotated[
+        MaskFormat,
+        typer.Option(
+            metavar="<format>",
+            help="Layout of the files: ids, gaussian-grouping, langsplat, coco or coco-polygons.",
+        ),
+    ] = "ids",
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the masks.")] = Path("ids"),
 ) -> None:
     """Label the objects of photographs consistently in all views.
 
     Writes a label map of each view, a 16-bit grey PNG of object ids, 0 for none, and look.jpg for
     viewing. The tracker precomputed reads the maps, which you may edit before building a field.
+    Other formats have the size of the photographs; the encoder gives LangSplat's features and the
+    words of COCO's categories.
 
     \b
     slgaussian masks a.jpg b.jpg -o ids/
     slgaussian masks a.jpg b.jpg --cameras transforms.json --proposer sam -o ids/
+    slgaussian masks a.jpg b.jpg --format coco -o masks/
     slgaussian field a.jpg b.jpg --tracker precomputed --set precomputed.folder=ids/ -o field/
     """
     from flows.cli.photographs import begin_work, load_photographs
     from slgaussian.benchmark import pictures
     from slgaussian.benchmark.reports.text_table import table_text
-    from slgaussian.build import label_photographs, record_estimation
+    from slgaussian.build import build_memory_bank, label_photographs, record_estimation
     from slgaussian.cameras.quality import camera_doubt
     from slgaussian.components.method import BuildConfig, Method
+    from slgaussian.formats import coco_writer, mask_layouts
     from slgaussian.io import atomic_folder
-    from slgaussian.masks.precomputed import encode_ids, map_names
+    from slgaussian.language.scoring import BankReader
+    from slgaussian.masks.precomputed import write_ids
+    from slgaussian.objects import name_objects
     from slgaussian.storage.field_folder import check_target
 
     settings = make_settings(options.settings_from(ctx), "masks")
     check_target(out, MASKS_FILE, "a folder of masks")  # before the work
     sample, _ = load_photographs(photos, cameras, settings)
-    components = [settings.configure(kind) for kind in options.COMPONENTS]
+    if format in ("gaussian-grouping", "langsplat"):
+        mask_layouts.loader_names(sample.context)
+    encodes = format not in ("ids", "gaussian-grouping")
+    if ctx.params["encoder"] and not encodes:
+        raise InputError(f"masks: --encoder has no use for --format {format}; leave it out")
+    kinds = (*options.COMPONENTS, "encoder") if encodes else options.COMPONENTS
+    components = [settings.configure(kind) for kind in kinds]
     method = Method(*components, **dict(BuildConfig.of(settings)))
     start = time.perf_counter()
     with begin_work("labelling", sample, [c.name for c in components], verbose=True):
         sample, predicted, maps = label_photographs(sample, method, settings.trust_cameras)
+        if encodes:
+            encoder, drawing = method.encoder.load(), (method.codes.load(), method.seed)
+            bank = build_memory_bank(sample, predicted.geometry, maps, encoder, *drawing)
     if doubt := camera_doubt(record_estimation(sample, predicted.quality)):
         typer.echo(f"warning: {doubt}", err=True)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 
-    namesakes = [name for view in sample.context for name in view.namesakes]
-    names, files, panels = map_names([view.name for view in sample.context], namesakes), {}, []
+    views, panels = sample.context, []
     rows = [("view", "file", "objects", "labelled")]
     with atomic_folder(out) as draft:
-        for view, ids, areas in zip(sample.context, maps.labels, maps.areas().T, strict=True):
-            suffix, data = encode_ids(ids)
-            files[view.name] = names[view.name] + suffix
-            file = draft / files[view.name]
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(data)
+        if format == "ids":
+            files = write_ids(draft, views, maps)
+        elif format == "gaussian-grouping":
+            files = mask_layouts.write_grouping(draft, views, maps)
+        elif format == "langsplat":
+            files = mask_layouts.write_langsplat(draft, views, maps, bank)
+        else:
+            words = name_objects(BankReader(bank, encoder))
+            files = coco_writer.write_coco(draft, views, maps, words, format == "coco-polygons")
+        for view, ids, areas in zip(views, maps.labels, maps.areas().T, strict=True):
             painted = pictures.paint_labels(ids, view.image)
             panels += [(view.name, view.image), ("objects", painted)]
             labelled = f"{100 * (ids > 0).mean():.1f} %"
@@ -240,6 +266,7 @@ def masks(
         identities: dict[str, Any] = {c.kind: {c.name: c.identity()} for c in components}
         identities |= {"replicas": method.replicas, "votes": method.votes}
         text = {"size": list(maps.labels.shape[1:]), "views": files, "settings": identities}
+        text |= {} if format == "ids" else {"format": format}
         (draft / MASKS_FILE).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
     typer.echo(table_text(rows, "<<"))
     shared = len(maps.ids) - len(maps.seen_once)

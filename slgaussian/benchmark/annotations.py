@@ -1,4 +1,4 @@
-"""Reading of hand-labelled ground truth: JSON files of LERF-OVS, or the class masks of 3D-OVS.
+"""Reading of hand-labelled ground truth: JSON of LERF-OVS or COCO, or the class masks of 3D-OVS.
 
 There is one file per frame, ``<labels>/<frame>.json``, also in subfolders as the frames::
 
@@ -14,6 +14,9 @@ with polygons: COCO's x, y, width, height is recognised by that.
 A folder with ``classes.txt`` contains class masks, ``<frame>/<class>.png`` for every class; a line
 of the file is a class and its query text. Folders have the names of photographs, as in the
 published scenes; 3D-OVS uses them as indices into the sorted photographs.
+
+A COCO file, or a folder with one, has the labels of all frames
+(:mod:`slgaussian.benchmark.coco_labels`).
 """
 
 from __future__ import annotations
@@ -28,9 +31,11 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, PositiveInt
 
-from slgaussian.benchmark.documents import check_document, read_json
+from slgaussian.benchmark import coco_labels
 from slgaussian.checks import companion, match_rank, name_parts
 from slgaussian.errors import InputError
+from slgaussian.formats.coco import find_coco
+from slgaussian.formats.documents import check_document, read_json
 from slgaussian.formats.images import TooLargeError, check_size, read_mask
 from slgaussian.formats.resampling import Window
 from slgaussian.io import read_lines, short_repr
@@ -133,6 +138,8 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     if (folder / CLASSES_FILE).is_file():
         frames = sorted(path.name for path in folder.iterdir() if path.is_dir())
         return dict.fromkeys(frames, _classes(folder))
+    if (file := find_coco(folder)) is not None:
+        return coco_labels.list_frames(folder, file)
     return {
         file.relative_to(folder).with_suffix("").as_posix(): _read_record(file).categories
         for file in sorted(folder.rglob("*.json"))
@@ -149,7 +156,14 @@ def label_files(folder: str | Path, view_name: str, namesakes: Sequence[str] = (
     if (folder / CLASSES_FILE).is_file():
         masks = companion(folder, view_name, [""], namesakes) or folder / stem
         return [folder / CLASSES_FILE, *(masks / f"{name}.png" for name in _classes(folder))]
-    return [companion(folder, view_name, [".json"], namesakes) or folder / f"{stem}.json"]
+    return [_find_json(folder, view_name, namesakes)[0]]
+
+
+def _find_json(folder: Path, view_name: str, namesakes: Sequence[str]) -> tuple[Path, bool]:
+    """Return the JSON file with the labels of a frame, and whether it is COCO's."""
+    own = companion(folder, view_name, [".json"], namesakes)
+    coco = find_coco(folder) if own is None else None
+    return own or coco or folder / f"{name_parts(view_name)[-1]}.json", coco is not None
 
 
 def _read_frame(
@@ -164,7 +178,9 @@ def _read_frame(
     if (folder / CLASSES_FILE).is_file():
         files = label_files(folder, view_name, namesakes)[1:]
         return _read_class_masks(folder, files, width, height, window), None
-    (path,) = label_files(folder, view_name, namesakes)
+    path, is_coco = _find_json(folder, view_name, namesakes)
+    if is_coco:
+        return coco_labels.read_frame(path, view_name, namesakes, width, height, window)
     record = _read_record(path)
     name, full_w, full_h = record.info.name, record.info.width, record.info.height
     rank = match_rank(name, view_name)

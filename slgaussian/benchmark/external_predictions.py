@@ -30,7 +30,6 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 
 from slgaussian.benchmark.annotations import Truth, find_boxes
 from slgaussian.benchmark.baselines import ROWS
-from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult, score_frame
 from slgaussian.benchmark.outputs import file_name, read_masks
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, ScoringProtocol
@@ -38,6 +37,7 @@ from slgaussian.benchmark.scores import scene_means
 from slgaussian.checks import matching, name_parts, namesakes
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
+from slgaussian.formats.documents import check_document, read_json
 from slgaussian.formats.images import read_mask
 from slgaussian.io import short_repr
 

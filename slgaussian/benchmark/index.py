@@ -31,8 +31,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, model_validator
 
-from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.errors import InputError
+from slgaussian.formats.documents import check_document, read_json
 from slgaussian.io import write_atomic
 
 VERSION = 2

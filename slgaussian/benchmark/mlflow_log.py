@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from slgaussian.benchmark.documents import read_json
 from slgaussian.benchmark.reports.model import flatten
 from slgaussian.benchmark.retrainings import read_history
 from slgaussian.extras import install_line
+from slgaussian.formats.documents import read_json
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.tables import read_table
 

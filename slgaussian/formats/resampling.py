@@ -131,6 +131,18 @@ class Window:
         rows, columns = np.floor(y).astype(np.int64), np.floor(x).astype(np.int64)
         return ids[np.ix_(rows.clip(0, len(ids) - 1), columns.clip(0, ids.shape[1] - 1))]
 
+    def spread_ids(self, ids: np.ndarray, height: int, width: int) -> np.ndarray:
+        """Resample ids [H, W] of the view to the whole photograph at ``height`` x ``width`` pixels.
+
+        It is the inverse of :meth:`ids` where the view has no more pixels than its part of the
+        photograph. What the view does not show is 0.
+        """
+        (y0, y1), (x0, x1) = self._ends((height, width))
+        rows = np.floor((np.arange(height) + 0.5 - y0) / (y1 - y0) * ids.shape[0])
+        columns = np.floor((np.arange(width) + 0.5 - x0) / (x1 - x0) * ids.shape[1])
+        y, x = rows.clip(-1, ids.shape[0]), columns.clip(-1, ids.shape[1])
+        return np.pad(ids, 1)[np.ix_(y.astype(np.int64) + 1, x.astype(np.int64) + 1)]
+
     def depth(self, depth: np.ndarray, height: int, width: int) -> np.ndarray:
         """Resample z-depth float32 [H, W] of the whole photograph by :func:`sample_depth`."""
         x, y = self._centres(depth.shape, height, width)

@@ -34,8 +34,22 @@ class RunLengths(NamedTuple):
 def encode(mask: np.ndarray) -> RunLengths:
     """Encode a mask, bool [H, W], with the counts as a string."""
     flat = np.asarray(mask, bool).ravel(order="F")
-    changes = np.flatnonzero(np.diff(flat, prepend=False))
-    values = np.diff(changes, prepend=0, append=flat.size)
+    return _compress(np.flatnonzero(np.diff(flat, prepend=False)), *mask.shape)
+
+
+def encode_ids(ids: np.ndarray) -> dict[int, RunLengths]:
+    """Encode the mask of every id above 0 of a map int [H, W], in ascending order."""
+    flat = ids.ravel(order="F")
+    starts = np.flatnonzero(np.diff(flat, prepend=0))
+    runs, owners = np.stack([starts, np.append(starts, flat.size)[1:]], 1), flat[starts]
+    used = np.unique(owners[owners > 0])
+    return {int(id_): _compress(runs[owners == id_].ravel(), *ids.shape) for id_ in used}
+
+
+def _compress(changes: np.ndarray, height: int, width: int) -> RunLengths:
+    """Encode a mask by the places, in the order of columns, where its runs begin and have ended."""
+    total = height * width
+    values = np.diff(changes[changes < total], prepend=0, append=total)
     values[3:] -= values[1:-2]
     groups, written, unfinished = [], [], np.ones(len(values), bool)
     while unfinished.any():
@@ -44,7 +58,6 @@ def encode(mask: np.ndarray) -> RunLengths:
         unfinished = unfinished & (values != np.where(low & 16, -1, 0))
         groups.append((_FIRST + low + 32 * unfinished).astype(np.uint8))
     counts = np.stack(groups, 1)[np.stack(written, 1)].tobytes().decode("ascii")
-    height, width = mask.shape
     return RunLengths(height, width, counts)
 
 

@@ -19,6 +19,7 @@ PROPOSERS = {
     "regions": "slgaussian.masks.configs:RegionsConfig",
     "sam": "slgaussian.masks.configs:SamConfig",
     "sam2": "slgaussian.masks.configs:Sam2Config",
+    "precomputed": "slgaussian.masks.configs:PrecomputedMasksConfig",
 }
 TRACKERS = {
     "geometric": "slgaussian.masks.configs:GeometricConfig",
@@ -132,24 +133,41 @@ def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAP_SUFFIXES) 
     return digest.hexdigest()
 
 
+def masks_digest(place: Path | str) -> str:
+    """Compute the SHA-256, hexadecimal, of a COCO file, or of the other masks of a folder."""
+    from slgaussian.formats.mask_layouts import recognise_layout
+
+    layout, where = recognise_layout(Path(place))
+    return file_digest(where) if layout == "coco" else folder_digest(place)
+
+
 def geometry_digest(place: Path | str) -> str:
     """Compute the SHA-256, hexadecimal, of a depth file, or of a folder of depth files."""
     return folder_digest(place, DEPTH_SUFFIXES) if Path(place).is_dir() else file_digest(place)
 
 
 class PrecomputedConfig(ComponentConfig, title="precomputed"):
-    """Labels from a folder with one id map for each view and consistent ids across views.
+    """Labels from masks of another program with consistent ids across views.
 
-    The predictor of this name shares the table of settings; each reads its own field.
+    The predictor and the proposer of this name share the table of settings; each reads its own
+    field.
     """
 
     target = "slgaussian.masks.precomputed:Precomputed"
 
-    folder: Annotated[Path | None, File(folder_digest)] = Field(
-        None, description="Folder of id maps of another program, PNG or NPY, for the tracker."
+    folder: Annotated[Path | None, File(masks_digest)] = Field(
+        None,
+        description="Masks of another program, for tracker and proposer: folder of id maps (PNG or "
+        "NPY), of Gaussian Grouping or LangSplat, or COCO's JSON.",
     )
     geometry: Annotated[Path | None, File(geometry_digest)] = Field(
         None,
         description="Depth of another program, for the predictor: NPZ, or a folder with one file "
         "per view.",
     )
+
+
+class PrecomputedMasksConfig(PrecomputedConfig, title="precomputed"):
+    """Masks of each view from files of SAM, LangSplat or an annotation program."""
+
+    target = "slgaussian.masks.precomputed:PrecomputedProposer"

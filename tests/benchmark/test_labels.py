@@ -10,8 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.benchmark.annotations import labelled_frames, read_labels, read_truth
+from slgaussian.benchmark.annotations import (
+    label_files,
+    labelled_frames,
+    read_labels,
+    read_truth,
+)
 from slgaussian.errors import InputError
+from slgaussian.formats.resampling import Window
 from slgaussian.scene import Camera, View
 
 TRIANGLE = [[2.9, 1.9], [17.4, 3.2], [9.7, 13.8]]
@@ -215,3 +221,52 @@ def test_read_labels_names_a_missing_or_damaged_file(tmp_path):
     (tmp_path / "frame_7.json").write_text("{")
     with pytest.raises(InputError, match=r"frame_7\.json: the label file is not valid JSON"):
         read_labels(tmp_path, "images/frame_7.png", 40, 24)
+
+
+def write_coco(file: Path) -> None:
+    """Write labels of two of three images: polygons, run lengths, and a crowd."""
+    flat = np.ravel(SQUARE).tolist()
+    runs = {"size": [24, 40], "counts": [24 * 30, 24 * 2, 24 * 8]}  # columns 30 and 31
+    shapes = [(1, 1, flat, 0), (1, 2, flat, 0), (1, 1, runs, 1), (2, 2, flat, 0)]
+    annotations = [
+        {"image_id": image, "category_id": category, "iscrowd": crowd, "id": number}
+        | {"segmentation": shape if crowd else [shape]}
+        for number, (image, category, shape, crowd) in enumerate(shapes)
+    ]
+    names = {1: "frame_1.png", 2: "right/frame_2.png", 3: "frame_3.png"}
+    images = [{"id": i, "file_name": n, "width": 40, "height": 24} for i, n in names.items()]
+    categories = [{"id": 1, "name": "red crate"}, {"id": 2, "name": "sofa"}]
+    document = {"images": images, "annotations": annotations, "categories": categories}
+    file.write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("place", [".", "all.json"])
+def test_labels_of_coco_unite_a_category_and_leave_unlabelled_images_out(tmp_path, place):
+    write_coco(tmp_path / "all.json")
+    folder = tmp_path / place
+    frames = {"frame_1": ("red crate", "sofa"), "right/frame_2": ("sofa",)}
+    assert labelled_frames(folder) == frames
+    assert label_files(folder, NAME) == [tmp_path / "all.json"]
+    square = np.zeros((24, 40), bool)
+    square[10:18, 20:28] = True
+    both = square.copy()
+    both[:, 30:32] = True
+    truth = read_truth(folder, ["red crate", "sofa", "ghost"], [make_view()])
+    for category, mask in (("red crate", both), ("sofa", square), ("ghost", square & ~square)):
+        np.testing.assert_array_equal(truth.masks[NAME][category], mask)
+    boxes = truth.boxes[NAME]["red crate"].tolist()
+    assert boxes == [[20, 10, 28, 18], [30, 0, 32, 24]]
+    halved = read_labels(folder, NAME, 20, 12)["sofa"]
+    np.testing.assert_array_equal(halved, square[::2, ::2])
+    for name, reason in (("frame_3.png", "has no annotation"), ("frame_4.png", "lists no image")):
+        with pytest.raises(InputError, match=rf"all\.json: {reason} of '{name}'"):
+            read_labels(folder, name, 40, 24)
+    with pytest.raises(InputError, match="of another shape than its photograph"):
+        read_labels(folder, NAME, 40, 24, Window.whole(24, 40))
+
+
+def test_labels_of_coco_beside_those_of_a_frame_are_refused(tmp_path):
+    write_coco(tmp_path / "all.json")
+    write(tmp_path, thing())
+    with pytest.raises(InputError, match=r"all\.json has labels of COCO, and frame_1\.json"):
+        labelled_frames(tmp_path)

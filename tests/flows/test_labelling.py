@@ -1,6 +1,7 @@
 """`slgaussian masks`, and fields built from its output."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,3 +80,37 @@ def test_a_map_of_any_ids_reads_as_it_was_written(tmp_path, top, suffix):
     assert result == suffix
     (tmp_path / f"a{result}").write_bytes(data)
     np.testing.assert_array_equal(read_ids(tmp_path / f"a{result}"), ids)
+
+
+READERS = {
+    "gaussian-grouping": "tracker",
+    "coco": "tracker",
+    "coco-polygons": "tracker",
+    "langsplat": "proposer",
+}
+
+
+@pytest.mark.parametrize("layout", READERS)
+def test_masks_in_the_layout_of_another_program_build_the_same_field(words, slg, layout):
+    assert slg("masks", *words, "-o", "ids")[0] == 0
+    assert slg("masks", *words, "--format", layout, "-o", "other")[0] == 0
+    fields = []
+    for folder, kind in (("ids", "tracker"), ("other", READERS[layout])):
+        read = [f"--{kind}", "precomputed", "--set", f"precomputed.folder={folder}"]
+        assert slg("field", *words, *read, "-o", f"field-{folder}")[0] == 0
+        fields.append(SemanticField.load(f"field-{folder}"))
+    if layout.startswith("coco"):
+        annotations = json.loads(Path("other/annotations.json").read_text())["annotations"]
+        is_polygon = {isinstance(each["segmentation"], list) for each in annotations}
+        assert is_polygon == {layout == "coco-polygons"}
+    direct, other = (field.render(field.cameras["view_00.png"]) for field in fields)
+    if layout == "coco-polygons":
+        assert (direct.ids == other.ids).mean() > 0.98
+    else:
+        np.testing.assert_array_equal(direct.ids, other.ids)
+        hits = [view.query("red chair") for view in (direct, other)]
+        np.testing.assert_array_equal(hits[0].relevancy, hits[1].relevancy)
+
+
+def test_masks_refuses_an_encoder_that_its_format_does_not_use(words, refusal):
+    assert "--encoder has no use for --format ids" in refusal("masks", *words, "--encoder", "clip")

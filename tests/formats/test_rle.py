@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from slgaussian.formats import rle
@@ -27,6 +28,12 @@ def test_counts_equal_those_of_pycocotools():
 def test_decode_inverts_encode_for_any_mask(mask):
     assert rle.encode(mask) == (*mask.shape, encode(mask))
     assert np.array_equal(rle.decode(encode(mask), *mask.shape), mask)
+
+
+@given(arrays.arrays(np.int32, (7, 9), elements=st.integers(0, 3)))
+def test_encode_ids_equals_encode_of_each_id(ids):
+    expected = {int(i): rle.encode(ids == i) for i in np.unique(ids[ids > 0])}
+    assert rle.encode_ids(ids) == expected
 
 
 def test_decode_accepts_a_list_of_counts():

@@ -12,7 +12,6 @@ from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
 
-from slgaussian.benchmark.documents import read_json
 from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.reports.score_tables import (
     difference_tables,
@@ -22,6 +21,7 @@ from slgaussian.benchmark.reports.score_tables import (
 )
 from slgaussian.benchmark.scores import Difference, Rows, differences, sample_key
 from slgaussian.errors import InputError
+from slgaussian.formats.documents import read_json
 from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
 
