@@ -95,7 +95,7 @@ def test_cameras_writes_the_estimated_cameras(photos, slg, refusal):
     assert slg("cameras", *PHOTOS, "-o", out)[0] == 0  # its own are replaced
     assert slg("masks", *PHOTOS, "--cameras", out, "-o", "ids")[0] == 0
     error = refusal("cameras", *PHOTOS, "-o", "there")
-    assert "error: there: cannot be written (Is a directory)" in error
+    assert "error: there: exists and is no COLMAP model as" in error
 
 
 def test_commands_leave_out_a_photograph_without_camera(photos, slg):
