@@ -154,14 +154,13 @@ def cameras(
     from slgaussian.datasets import unposed
     from slgaussian.datasets.camera_files import check_target, write_cameras
 
-    if out is not None:
-        format = check_target(out, format)
-    elif format is not None:
+    if out is None and format is not None:
         raise InputError(f"format: found {format!r} without a file; give one by -o")
+    chosen = "" if out is None else check_target(out, format)
     files = unposed.name_files(photos)
     estimate = unposed.find(files)
     if out is not None:
-        write_cameras(out, format, files, estimate)
+        write_cameras(out, chosen, files, estimate)
     doubts = [f"these cameras are doubtful: {estimate.doubt}"] if estimate.doubt else []
     print_warnings([*doubts, *estimate.warnings], verbose=True)
     typer.echo(estimate.summary(), err=True)

@@ -38,7 +38,8 @@ def triangulate_matches(cameras: Sequence[Camera], graph: MatchGraph) -> tuple[T
     """
     joins = [(*pair, *match) for pair, match in sorted(graph.matches.items()) if len(match[0])]
     if not joins:
-        return Tracks(*np.zeros((2, 0), int), np.zeros((0, 2)), 0), np.zeros((0, 3))
+        none = np.zeros(0, np.int64)
+        return Tracks(none, none, np.zeros((0, 2)), 0), np.zeros((0, 3))
     # A wrong match would spoil the track that it joins, so each is a track of two views at first.
     counts = [len(first) for *_, first, _ in joins]
     view = np.repeat([[i, j] for i, j, *_ in joins], counts, axis=0).ravel()

@@ -92,11 +92,9 @@ def write(folder: Path, model: SparseModel, estimated: EstimatedCameras, text: b
 def _lens(camera: Camera, k1: float) -> Lens:
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     size = camera.width, camera.height
-    return (
-        Lens(SIMPLE_RADIAL, *size, (fx, cx, cy, k1))
-        if k1
-        else Lens(PINHOLE, *size, (fx, fy, cx, cy))
-    )
+    if k1:
+        return Lens(SIMPLE_RADIAL, *size, (fx, cx, cy, k1))
+    return Lens(PINHOLE, *size, (fx, fy, cx, cy))
 
 
 def _number_lenses(model: SparseModel) -> tuple[dict[Lens, int], list[int]]:
@@ -128,6 +126,7 @@ def _points(model: SparseModel) -> Iterator[tuple[list[Any], list[int]]]:
         index[view == number] = np.arange((view == number).sum())
     tracks = np.split(np.stack([view + 1, index], 1), np.flatnonzero(np.diff(track)) + 1)
     values = model.points.tolist(), model.colours.tolist(), model.errors.tolist(), tracks
+    # Without points, the tracks are one empty part.
     for number, (position, colour, error, seen) in enumerate(zip(*values, strict=False), 1):
         yield [number, *position, *colour, error], seen.ravel().tolist()
 
@@ -153,13 +152,13 @@ def _binary_files(model: SparseModel) -> dict[str, bytes]:
 
 def _text_files(model: SparseModel) -> dict[str, bytes]:
     numbers, _ = _number_lenses(model)
-    cameras = [
-        (number, kind[0], width, height, *params)
-        for (kind, width, height, params), number in numbers.items()
-    ]
-    images = [row for head, name, shown in _images(model) for row in ([*head, name], shown)]
-    points = [[*head, *track] for head, track in _points(model)]
-    files = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": points}
+    files: dict[str, list[list[Any]]] = {"cameras.txt": [], "images.txt": [], "points3D.txt": []}
+    for (kind, width, height, params), number in numbers.items():
+        files["cameras.txt"].append([number, kind[0], width, height, *params])
+    for head, name, shown in _images(model):
+        files["images.txt"] += [*head, name], shown
+    for head, track in _points(model):
+        files["points3D.txt"].append([*head, *track])
     return {
         name: "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
         for name, rows in files.items()

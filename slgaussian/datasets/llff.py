@@ -26,7 +26,7 @@ from slgaussian.datasets.sparse_model import SparseModel
 from slgaussian.datasets.unposed import find_folder
 from slgaussian.errors import InputError
 from slgaussian.formats.images import read_npy
-from slgaussian.io import write_file
+from slgaussian.io import explain_write_errors, write_file
 from slgaussian.scene import Camera, Scene
 
 FILE = "poses_bounds.npy"
@@ -111,8 +111,8 @@ def write(file: Path, photographs: Mapping[str, Path], model: SparseModel) -> No
             folder, which has no others, as rows have no names.
 
     Raises:
-        InputError: If that is not so, a lens is distorted, a photograph shows no point, or it
-            cannot be written.
+        InputError: If that is not so, a lens is distorted, a photograph shows too few points,
+            or it cannot be written.
     """
     if model.distortions:
         raise InputError(
@@ -132,12 +132,17 @@ def write(file: Path, photographs: Mapping[str, Path], model: SparseModel) -> No
     for name in (named[file_name] for file_name in present):
         camera, mine = model.cameras[name], model.tracks.view == views.index(name)
         depth = model.points[model.tracks.track[mine]] @ camera.w2c[2, :3] + camera.w2c[2, 3]
-        if not len(depth):
-            raise InputError(f"{file}: {name!r} shows no point that gives it a range of depth")
+        if len(depth) < 2:
+            raise InputError(
+                f"{file}: {name!r} shows {len(depth)} points, expected two or more, which give its "
+                "range of depth; write COLMAP or transforms.json"
+            )
         right, down, forward, place = camera.c2w[:3].T
         lens = camera.height, camera.width, camera.K[0, 0]
         matrix = np.column_stack([down, right, -forward, place, lens])
         rows.append([*matrix.ravel(), *np.percentile(depth, BOUNDS)])
+    with explain_write_errors(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
     content = io.BytesIO()
     np.save(content, np.array(rows))
     write_file(file, content.getvalue())
