@@ -14,6 +14,7 @@ from slgaussian.build import predict
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.masks.configs import geometry_digest
 from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep, sweep
 from slgaussian.predict.precomputed import _read as read_depths
@@ -237,6 +238,13 @@ def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
     assert visible[row >= 50].mean() > 0.7
 
 
+def test_identity_of_numbered_views_has_their_cameras(tmp_path, steep):
+    folder = write_da3_cli(tmp_path / "depth", steep.context)
+    before = geometry_digest(folder)
+    (folder / "out_view1.json").write_text("{}")
+    assert geometry_digest(folder) != before
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -250,8 +258,8 @@ def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
             "view1.pfm: cannot be read",
         ),
         (
-            lambda d: [shutil.copy(f, d / f.name.replace("out", "b")) for f in [*d.glob("*0.*")]],
-            "b_view0.pfm, out_view0.pfm, out_view1.pfm, expected the views of one call",
+            lambda d: [f.rename(d / f.name.replace("out", "p")) for f in [*d.glob("*1.*")]],
+            "holds out_view0.pfm, p_view1.pfm, expected the views of one call",
         ),
     ],
     ids=["no json", "no json of a third", "shape", "no json text", "size", "cut", "two calls"],
