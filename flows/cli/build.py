@@ -128,7 +128,14 @@ def field(
 def cameras(
     photos: options.Photos,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="transforms.json, in nerfstudio's format.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="transforms.json, a COLMAP folder, or LLFF's poses_bounds.npy."
+        ),
+    ] = None,
+    format: Annotated[
+        str | None,
+        typer.Option(help="colmap, colmap-text, nerfstudio or llff. [default: by the suffix]"),
     ] = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -136,31 +143,25 @@ def cameras(
 
     Prints a row for each pair: matches, inliers of its pose, parallax angle and uncertainty of the
     pose in degrees, and a verdict. The world is that of the first camera; the distance of the first
-    two is 1. A transforms.json contains all this too, and `--cameras` reads it.
+    two is 1. A transforms.json or COLMAP folder contains all this too, and `--cameras` reads it.
+    COLMAP's and LLFF's cameras are those of the photographs as stored, before EXIF turns them.
 
     \b
     slgaussian cameras a.jpg b.jpg -o transforms.json
     slgaussian field photos/a.jpg photos/b.jpg --cameras transforms.json -o field/
+    slgaussian cameras scene/images -o scene/sparse/0
     """
     from flows.cli.photographs import print_warnings
-    from slgaussian.datasets import nerfstudio, unposed
+    from slgaussian.datasets import unposed
+    from slgaussian.datasets.camera_files import check_target, write_cameras
 
-    try:
-        is_foreign = (
-            out and out.exists() and nerfstudio.EXTENSION_KEY.encode() not in out.read_bytes()
-        )
-    except OSError as error:
-        message = f"{out}: cannot be written ({error.strerror}); choose another"
-        raise InputError(message) from None
-    if is_foreign:
-        raise InputError(
-            f"{out}: exists and was not written by `slgaussian cameras`; choose another file, or "
-            "remove it"
-        )
+    if out is None and format is not None:
+        raise InputError(f"format: found {format!r} without a file; give one by -o")
+    chosen = "" if out is None else check_target(out, format)
     files = unposed.name_files(photos)
     estimate = unposed.find(files)
     if out is not None:
-        nerfstudio.write(out, files, estimate)
+        write_cameras(out, chosen, files, estimate)
     doubts = [f"these cameras are doubtful: {estimate.doubt}"] if estimate.doubt else []
     print_warnings([*doubts, *estimate.warnings], verbose=True)
     typer.echo(estimate.summary(), err=True)

@@ -75,11 +75,13 @@ def load_photographs(
 
 
 def _find_cameras(geometry: Path | None) -> Path | None:
-    """Return the file of precomputed geometry if it has cameras too."""
-    if geometry is None or geometry.suffix != ".npz" or not geometry.is_file():
-        return None
-    from slgaussian.formats.depth_maps import read_geometry
+    """Return the file or folder of precomputed geometry if it has cameras too."""
+    from slgaussian.formats.depth_maps import numbered_views, read_geometry
 
+    if geometry is None or not (
+        numbered_views(geometry) or (geometry.suffix == ".npz" and geometry.is_file())
+    ):
+        return None
     stored = read_geometry(geometry)
     return None if stored.poses is None or stored.maps[0].K is None else geometry
 

@@ -18,7 +18,12 @@ from scipy.sparse.csgraph import connected_components
 
 from slgaussian.cameras.bundle import Adjusted, Bundle, adjust
 from slgaussian.cameras.epipolar import TwoViews
-from slgaussian.cameras.tracks import Tracks, join_tracks, triangulate
+from slgaussian.cameras.tracks import (
+    Tracks,
+    join_tracks,
+    triangulate_inliers,
+    triangulation_angles,
+)
 
 MAX_REPROJECTION_ERROR = 3.0
 """Largest reprojection error of an inlier, pixels."""
@@ -191,51 +196,14 @@ class _Reconstruction:
         view = self.tracks.view[mine]
         return (self.tracks.xy[mine] - self.centers[view]) / self.focals[self.group[view]][:, None]
 
-    def _without_single(self, good: np.ndarray) -> np.ndarray:
-        """Return the mask ``good`` [M] without observations that are alone in their track."""
-        counts = np.bincount(self.tracks.track[good], minlength=self.tracks.count)
-        return good & (counts[self.tracks.track] > 1)
-
     def _points(self, loose: float) -> tuple[np.ndarray, np.ndarray]:
         """Triangulate all tracks: points [T, 3] and inliers bool [M]."""
-        tracks, X = self.tracks, np.zeros((self.tracks.count, 3))
-        good = np.isin(tracks.view, self.placed)
-        for _ in range(4):
-            good = self._without_single(good)
-            mine = np.flatnonzero(good)
-            if not len(mine):
-                break
-            view, track, uv = tracks.view[mine], tracks.track[mine], self._rays(mine)
-            points, start = triangulate(self.R, self.t, view, track, uv)
-            X[track[start]] = points
-            local = (self.R[view] @ X[track, :, None])[..., 0] + self.t[view]
-            front = local[:, 2] > 0
-            residuals = local[:, :2] / np.where(front, local[:, 2], 1)[:, None] - uv
-            error = np.linalg.norm(residuals, axis=1) * self.focals[self.group[view]]
-            error = np.where(front, error, 1e9)
-            # Only the worst observation of a track is dropped at a time: it may bias the others.
-            worst = np.repeat(np.maximum.reduceat(error, start), np.diff(start, append=len(mine)))
-            bad = (error > loose * MAX_REPROJECTION_ERROR) & (error >= worst)
-            good[mine[bad]] = False
-            if not bad.any():
-                break
-        return X, self._without_single(good)
-
-    def _widths(self, good: np.ndarray) -> np.ndarray:
-        """Compute the largest angle [T] to the first line of sight of each track, degrees."""
-        widths = np.zeros(self.tracks.count)
-        mine = np.flatnonzero(good)
-        if not len(mine):
-            return widths
-        view, track = self.tracks.view[mine], self.tracks.track[mine]
-        rays = np.concatenate([self._rays(mine), np.ones((len(mine), 1))], 1)[:, None]
-        rays = (rays @ self.R[view])[:, 0]
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        start = np.flatnonzero(np.diff(track, prepend=-1))
-        first = np.repeat(rays[start], np.diff(start, append=len(mine)), axis=0)
-        cosine = np.minimum.reduceat((rays * first).sum(1), start)
-        widths[track[start]] = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-        return widths
+        view = self.tracks.view
+        uv, focals = self._rays(np.arange(len(view))), self.focals[self.group[view]]
+        return triangulate_inliers(
+            self.tracks, np.isin(view, self.placed), self.R, self.t, uv, focals,
+            loose * MAX_REPROJECTION_ERROR,
+        )  # fmt: skip
 
     def _adjust_roughly(self) -> bool:
         """Adjust all placed views with few tracks; return False if there are too few inliers.
@@ -289,7 +257,8 @@ class _Reconstruction:
         """Place the view with most triangulated points that can be placed, if there is one."""
         tracks = self.tracks
         X, good = self._points(1.0)
-        width = self._widths(good)
+        uv = self._rays(np.arange(len(tracks.view)))
+        width = triangulation_angles(tracks, good, self.R, uv)
         left = np.setdiff1d(np.arange(len(self.centers)), self.placed)
         for minimum, wide in ATTEMPTS:
             sharp = (width > wide)[tracks.track]

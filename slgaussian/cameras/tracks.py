@@ -72,3 +72,71 @@ def triangulate(
     q = np.linalg.eigh(A)[1][:, :, 0]
     w = np.where(np.abs(q[:, 3]) > 1e-9, q[:, 3], 1e-9)
     return q[:, :3] / w[:, None], start
+
+
+def triangulate_inliers(
+    tracks: Tracks, good: np.ndarray, R: np.ndarray, t: np.ndarray, uv: np.ndarray,
+    focals: np.ndarray, max_error: float,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Triangulate tracks without their outliers.
+
+    Args:
+        good: bool [M]. Observations to use.
+        R, t: float64 [V, 3, 3], [V, 3]. World to camera.
+        uv: float64 [M, 2]. Normalised image coordinates.
+        focals: float64 [M]. Focal length in pixels of the view of each observation.
+        max_error: Largest reprojection error of an inlier, in these pixels.
+
+    Returns:
+        float64 [T, 3], bool [M]: The points, valid for tracks with inliers, and the inliers, two
+            or more in each such track.
+    """
+    X = np.zeros((tracks.count, 3))
+    for _ in range(4):
+        good = _without_single(tracks, good)
+        mine = np.flatnonzero(good)
+        if not len(mine):
+            break
+        view, track = tracks.view[mine], tracks.track[mine]
+        points, start = triangulate(R, t, view, track, uv[mine])
+        X[track[start]] = points
+        local = (R[view] @ X[track, :, None])[..., 0] + t[view]
+        front = local[:, 2] > 0
+        residuals = local[:, :2] / np.where(front, local[:, 2], 1)[:, None] - uv[mine]
+        error = np.linalg.norm(residuals, axis=1) * focals[mine]
+        error = np.where(front, error, 1e9)
+        # Only the worst observation of a track is dropped at a time: it may bias the others.
+        worst = np.repeat(np.maximum.reduceat(error, start), np.diff(start, append=len(mine)))
+        bad = (error > max_error) & (error >= worst)
+        good[mine[bad]] = False
+        if not bad.any():
+            break
+    return X, _without_single(tracks, good)
+
+
+def _without_single(tracks: Tracks, good: np.ndarray) -> np.ndarray:
+    """Return the mask ``good`` [M] without observations that are alone in their track."""
+    counts = np.bincount(tracks.track[good], minlength=tracks.count)
+    return good & (counts[tracks.track] > 1)
+
+
+def triangulation_angles(
+    tracks: Tracks, good: np.ndarray, R: np.ndarray, uv: np.ndarray
+) -> np.ndarray:
+    """Compute the largest angle [T] to the first line of sight of each track, degrees.
+
+    Tracks without observations in ``good`` have 0; arguments as :func:`triangulate_inliers`.
+    """
+    angles = np.zeros(tracks.count)
+    mine = np.flatnonzero(good)
+    if not len(mine):
+        return angles
+    view, track = tracks.view[mine], tracks.track[mine]
+    rays = np.concatenate([uv[mine], np.ones((len(mine), 1))], 1)[:, None]
+    rays = (rays @ R[view])[:, 0]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    start = np.flatnonzero(np.diff(track, prepend=-1))
+    first = np.repeat(rays[start], np.diff(start, append=len(mine)), axis=0)
+    cosine = np.minimum.reduceat((rays * first).sum(1), start)
+    angles[track[start]] = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return angles

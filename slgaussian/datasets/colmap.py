@@ -2,8 +2,9 @@
 
 COLMAP's poses are world-to-camera with OpenCV axes, and its pixel centres lie at +0.5, as here. The
 files are ``.bin`` or ``.txt`` (https://colmap.github.io/format.html); points are not read, and the
-newer files of rigs and frames repeat the poses. pycolmap reads these files too, but for a truncated
-file some versions (such as 4.2.1) return arbitrary numbers, hang or end the process.
+newer files of rigs and frames repeat the poses. A model by :mod:`slgaussian.datasets.colmap_writer`
+says how its cameras were found. pycolmap reads these files too, but for a truncated file some
+versions (such as 4.2.1) return arbitrary numbers, hang or end the process.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,8 +32,9 @@ from slgaussian.datasets.photographs import (
     stored_size,
 )
 from slgaussian.errors import InputError
-from slgaussian.io import read_lines
-from slgaussian.scene import Camera, Scene
+from slgaussian.formats import strict_json
+from slgaussian.io import file_sha256, read_lines
+from slgaussian.scene import Camera, Estimated, Scene
 
 MODEL_FOLDERS = ("sparse", "colmap/sparse", ".")
 """Folders of the model, or of models in subfolders 0, 1, ..., relative to the scene's folder."""
@@ -44,6 +46,12 @@ CAMERA_MODELS = {
     14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4),
 }  # fmt: skip
 """Supported camera models, those that OpenCV has too: name and number of parameters by id."""
+
+
+RECORD_FILE = "slgaussian.json"
+"""File in a model's folder about found cameras: ``files``, the SHA-256 of the model's files by
+name; ``estimation``, see :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`;
+``estimated``, by image, the attribute of its camera."""
 
 
 class _Intrinsics(NamedTuple):
@@ -106,17 +114,41 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     for number, stored in stored_cameras.items():
         camera_files = (file for name, file in files.items() if poses[name].camera == number)
         lenses[number] = _lens(stored, next(filter(is_there, camera_files), None))
-    cameras, maps = {}, {}
+    record = own_record(source)
+    estimated, cameras, maps = record.get("estimated", {}), {}, {}
     for name in files:
         K, size, lens = lenses[poses[name].camera]
         if lens is not None:
             maps[name] = lens
         try:
-            cameras[name] = Camera(K, np.linalg.inv(poses[name].w2c), *size)
-        except InputError as bad:
+            origin = Estimated.of(estimated[name]) if name in estimated else None
+            c2w = np.linalg.inv(poses[name].w2c)
+            cameras[name] = Camera(K, c2w, *size, estimated=origin)
+        except (InputError, ValueError) as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
     name = path.resolve().name or "scene"
-    return make_scene(name, cameras, files, source, model_files(source), maps)
+    used = [*model_files(source), *([source / RECORD_FILE] if record else [])]
+    return make_scene(name, cameras, files, source, used, maps, estimation=record.get("estimation"))
+
+
+def own_record(folder: Path) -> dict[str, Any]:
+    """Read :data:`RECORD_FILE` of a model; empty if there is none, or it is of other files.
+
+    Raises:
+        InputError: If it is damaged.
+    """
+    file = folder / RECORD_FILE
+    if not file.is_file():
+        return {}
+    with _explain_damage(file):
+        record = strict_json.parse(file.read_bytes())
+        if not isinstance(record, dict) or not all(
+            isinstance(record.get(key), dict) for key in ("files", "estimation", "estimated")
+        ):
+            raise ValueError("expected an object of files, estimation and estimated")
+    model = (file for file in folder.iterdir() if file.suffix in (".bin", ".txt"))
+    is_own = {file.name: file_sha256(file) for file in model} == record["files"]
+    return record if is_own else {}
 
 
 def models_in(path: Path) -> list[Path]:

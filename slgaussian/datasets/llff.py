@@ -9,6 +9,8 @@ principal point in the centre.
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +22,17 @@ from slgaussian.datasets.photographs import (
     photographs_in,
     stored_size,
 )
+from slgaussian.datasets.sparse_model import SparseModel
+from slgaussian.datasets.unposed import find_folder
 from slgaussian.errors import InputError
 from slgaussian.formats.images import read_npy
+from slgaussian.io import explain_write_errors, write_file
 from slgaussian.scene import Camera, Scene
 
 FILE = "poses_bounds.npy"
 ROW_LENGTH = 17
+BOUNDS = (0.1, 99.9)
+"""Percentiles of the depth of a photograph's points that are written as its range."""
 
 
 def read(path: str | Path, images: str | None = None) -> Scene:
@@ -94,3 +101,48 @@ def _camera(row: np.ndarray, photograph: Path) -> Camera:
     c2w[:3, :4] = np.stack([right, down, -back, matrix[:, 3]], 1)
     K = np.array([[focal * w / width, 0, w / 2], [0, focal * h / height, h / 2], [0, 0, 1]])
     return Camera(K, c2w, w, h, float(near), float(far))
+
+
+def write(file: Path, photographs: Mapping[str, Path], model: SparseModel) -> None:
+    """Write cameras so that :func:`read` returns equal ones, with the range of their points.
+
+    Args:
+        photographs: mapping str -> path. Photographs by the names of their cameras: all in one
+            folder, which has no others, as rows have no names.
+
+    Raises:
+        InputError: If that is not so, a lens is distorted, a photograph shows too few points,
+            or it cannot be written.
+    """
+    if model.distortions:
+        raise InputError(
+            f"{file}: cannot hold the distortion of {next(iter(model.distortions))!r}; write "
+            "COLMAP or transforms.json, or undistort the photographs"
+        )
+    named = {photographs[name].name: name for name in model.cameras}
+    folder = find_folder({name: photographs[name] for name in model.cameras})
+    present = [photograph.name for photograph in photographs_in(folder)]
+    if different := sorted({*present} ^ {*named}):
+        raise InputError(
+            f"{file}: has a row for each photograph of a folder, without names, but of {folder} "
+            f"{different[0]!r} has {'no camera' if different[0] in present else 'one elsewhere'}; "
+            "write COLMAP or transforms.json, or give all photographs of one folder"
+        )
+    rows, views = [], list(model.cameras)
+    for name in (named[file_name] for file_name in present):
+        camera, mine = model.cameras[name], model.tracks.view == views.index(name)
+        depth = model.points[model.tracks.track[mine]] @ camera.w2c[2, :3] + camera.w2c[2, 3]
+        if len(depth) < 2:
+            raise InputError(
+                f"{file}: {name!r} shows {len(depth)} points, expected two or more, which give its "
+                "range of depth; write COLMAP or transforms.json"
+            )
+        right, down, forward, place = camera.c2w[:3].T
+        lens = camera.height, camera.width, camera.K[0, 0]
+        matrix = np.column_stack([down, right, -forward, place, lens])
+        rows.append([*matrix.ravel(), *np.percentile(depth, BOUNDS)])
+    with explain_write_errors(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    content = io.BytesIO()
+    np.save(content, np.array(rows))
+    write_file(file, content.getvalue())

@@ -25,7 +25,7 @@ from slgaussian.checks import check_intrinsics
 from slgaussian.datasets.photographs import make_scene
 from slgaussian.datasets.unposed import find_folder, name_files, photograph
 from slgaussian.errors import InputError
-from slgaussian.formats.depth_maps import GeometryFile, read_geometry
+from slgaussian.formats.depth_maps import GeometryFile, geometry_files, read_geometry
 from slgaussian.io import file_digest
 from slgaussian.predict import precomputed
 from slgaussian.scene import Camera, Scene
@@ -50,7 +50,7 @@ def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Sc
     """Read a scene of photographs with the cameras of an NPZ.
 
     Args:
-        path: NPZ, see :data:`slgaussian.formats.depth_maps.ARRAY_NAMES`.
+        path: NPZ or folder, see :func:`slgaussian.formats.depth_maps.read_geometry`.
         photographs: str or sequence of str, optional. Their folder relative to that of the NPZ, the
             default; or files and folders. If the NPZ has no ``names``, its maps belong to all
             photographs in order, in a folder sorted by name.
@@ -63,10 +63,13 @@ def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Sc
     if photographs is None or isinstance(photographs, str):
         photographs = [str(path.parent / (photographs or "."))]
     files = name_files(photographs)
+    digest = "".join(file_digest(file) for file in geometry_files(path))
     stamped = tuple((name, file, file_digest(file)) for name, file in files.items())
-    cameras = _cameras(path, file_digest(path), stamped)
+    cameras = _cameras(path, digest, stamped)
     posed_files = {name: files[name] for name in cameras}
-    return make_scene(find_folder(files).name, cameras, posed_files, path, [path], upright=True)
+    return make_scene(
+        find_folder(files).name, cameras, posed_files, path, geometry_files(path), upright=True
+    )
 
 
 @lru_cache(maxsize=8)

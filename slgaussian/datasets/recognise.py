@@ -9,6 +9,7 @@ from pathlib import Path
 from slgaussian.datasets import colmap, llff, nerfstudio, npz, unposed
 from slgaussian.datasets.photographs import image_folder, list_photographs
 from slgaussian.errors import InputError
+from slgaussian.formats.depth_maps import numbered_views
 from slgaussian.scene import Camera, Scene
 
 EXPECTED = (
@@ -90,6 +91,8 @@ def recognise(path: Path) -> tuple[str, Path]:
             return "colmap", _find_scene(path)
         if (path / llff.FILE).is_file():
             return "llff", path
+        if numbered_views(path):
+            return "npz", path
         json_files = sorted(file.name for file in path.glob("*.json"))
         if list_photographs(path) and not json_files:
             return "photographs", path

@@ -1,4 +1,4 @@
-"""Files of depth and cameras from other programs: NPZ, PNG, TIFF, NPY and PFM.
+"""Files of depth and cameras from other programs: NPZ, PNG, TIFF, NPY, and PFM with JSON.
 
 Values are returned as stored; the caller determines which of several conventions they follow
 (:mod:`slgaussian.predict.precomputed`).
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from slgaussian.checks import matching, order_naturally
 from slgaussian.errors import InputError
+from slgaussian.formats import strict_json
 from slgaussian.formats.images import MAX_PIXELS, open_image, read_npy, unreadable
 from slgaussian.io import short_repr, write_file
 
@@ -34,6 +36,11 @@ ARRAY_NAMES = {
 }
 """Names of arrays in an NPZ of Depth Anything 3 and of users of VGGT, MapAnything and DUSt3R. The
 first name that exists is read."""
+
+VIEW_FILE = re.compile(r"(.*)_view(\d+)\.pfm")
+"""Name of the depth of one of several views by depth-anything.cpp, numbered from 0. Beside it is a
+JSON file of ``extrinsics`` [3, 4], world-to-camera, and ``intrinsics`` [3, 3], pixels of the map
+(https://github.com/mudler/depth-anything.cpp: ``cmd_depth_multi`` in ``examples/cli/main.cpp``)."""
 
 MILLIMETRE = 1e-3  # scene units in one unit of an integer map
 MAX_BYTES = 48 * MAX_PIXELS  # largest decompressed size of an NPZ, bytes: 4 GiB
@@ -95,17 +102,22 @@ class GeometryFile:
                 and views differ, or the order of views depends on how numbers are sorted.
         """
         if self.names is None:
+            advice = (
+                "give the photographs of that call, in its order"
+                if self.file.is_dir()
+                else "add an array `names` of theirs, as in np.savez(new, **np.load(old), "
+                "names=[...])"
+            )
             if len(self.maps) != len(views):
                 raise InputError(
                     f"{self.file}: holds {len(self.maps)} maps without names, for {len(views)} "
-                    "photographs; add an array `names` of theirs, as in np.savez(new, "
-                    "**np.load(old), names=[...])"
+                    f"photographs; {advice}"
                 )
             if list(views) == order_naturally(sorted(views)) != sorted(views):
                 raise InputError(
                     f"{self.file}: holds maps without names, for photographs whose order is open: "
                     f"{', '.join(views[:3])}, ..., or {', '.join(sorted(views)[:3])}, ..., as "
-                    "programs sort them; add an array `names` of theirs"
+                    f"programs sort them; {advice}"
                 )
             return {view: i for i, view in enumerate(views)}
         if repeated := [name for name in self.names if list(self.names).count(name) > 1]:
@@ -118,14 +130,42 @@ class GeometryFile:
         return numbers
 
 
+def numbered_views(folder: Path) -> list[Path]:
+    """List the files :data:`VIEW_FILE` in a folder by number; empty if there are none.
+
+    Raises:
+        InputError: If the files are of several calls, or a number is missing.
+    """
+    files = {}
+    for file in folder.glob("*_view*.pfm"):
+        if (name := VIEW_FILE.fullmatch(file.name)) and file.with_suffix(".json").is_file():
+            files[name[1], int(name[2])] = file
+    views, prefixes = [files[key] for key in sorted(files)], {prefix for prefix, _ in files}
+    if len(prefixes) > 1 or [number for _, number in sorted(files)] != list(range(len(files))):
+        raise InputError(
+            f"{folder}: holds {', '.join(view.name for view in views[:4])}, expected the views of "
+            "one call, numbered from 0"
+        )
+    return views
+
+
+def geometry_files(place: Path) -> list[Path]:
+    """List the files that :func:`read_geometry` reads."""
+    views = numbered_views(place) if place.is_dir() else []
+    return [file for view in views for file in (view, view.with_suffix(".json"))] or [place]
+
+
 def read_geometry(file: Path) -> GeometryFile:
-    """Read an NPZ of depth, and optionally of confidence and cameras (:data:`ARRAY_NAMES`).
+    """Read depth, and optionally confidence and cameras, of several photographs.
+
+    Args:
+        file: NPZ with arrays of :data:`ARRAY_NAMES`, or a folder of :func:`numbered_views`.
 
     Raises:
         InputError: If it cannot be read, contains no depth, or its arrays differ in the number of
             photographs.
     """
-    arrays = _read_npz(file)
+    arrays = _read_views(file) if file.is_dir() else _read_npz(file)
     if "depth" not in arrays:
         raise InputError(
             f"{file}: holds no depth; expected one of {', '.join(ARRAY_NAMES['depth'])}"
@@ -262,6 +302,30 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
             return {ours: stored[names[0]] for ours, names in present.items() if names}
     except Exception as problem:  # a damaged archive raises almost anything
         raise unreadable(file, problem, DEPTH_ADVICE) from None
+
+
+def _read_views(folder: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of a folder of :func:`numbered_views`, by keys of :data:`ARRAY_NAMES`."""
+    views = numbered_views(folder)
+    maps, cameras = [read_map(view) for view in views], []
+    for view, depth in zip(views, maps, strict=True):
+        file = view.with_suffix(".json")
+        if depth.shape != maps[0].shape:
+            raise InputError(
+                f"{view}: is {depth.shape}, expected {maps[0].shape} as {views[0].name}"
+            )
+        try:
+            content = strict_json.parse(file.read_bytes())
+            cameras.append([np.array(content[key], float) for key in ("extrinsics", "intrinsics")])
+            if [matrix.shape for matrix in cameras[-1]] != [(3, 4), (3, 3)]:
+                raise ValueError("its shapes are others")
+        except (OSError, KeyError, TypeError, ValueError) as problem:
+            raise InputError(
+                f"{file}: holds no extrinsics of 3x4 and intrinsics of 3x3 numbers ({problem}); "
+                "copy it again"
+            ) from None
+    w2c, K = (np.array(matrices) for matrices in zip(*cameras, strict=True))
+    return {"depth": np.array(maps), "w2c": w2c, "K": K}
 
 
 def _stack_maps(file: Path, name: str, values: np.ndarray) -> np.ndarray:

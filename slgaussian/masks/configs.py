@@ -143,7 +143,8 @@ def masks_digest(place: Path | str) -> str:
 
 def geometry_digest(place: Path | str) -> str:
     """Compute the SHA-256, hexadecimal, of a depth file, or of a folder of depth files."""
-    return folder_digest(place, DEPTH_SUFFIXES) if Path(place).is_dir() else file_digest(place)
+    suffixes = (*DEPTH_SUFFIXES, ".json")  # cameras beside maps
+    return folder_digest(place, suffixes) if Path(place).is_dir() else file_digest(place)
 
 
 class PrecomputedConfig(ComponentConfig, title="precomputed"):

@@ -22,7 +22,13 @@ from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.relative import Relative
 from slgaussian.checks import companion
 from slgaussian.errors import InputError
-from slgaussian.formats.depth_maps import DepthMap, known_depth, read_geometry, read_map
+from slgaussian.formats.depth_maps import (
+    DepthMap,
+    known_depth,
+    numbered_views,
+    read_geometry,
+    read_map,
+)
 from slgaussian.formats.resampling import Window, sample_depth
 from slgaussian.gaussians import Gaussians
 from slgaussian.masks.configs import DEPTH_SUFFIXES
@@ -73,8 +79,10 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
     assigned by its array ``names`` or, without one, by the order of the views; or a folder with a
     file for each view, of the same name: for ``images/0013.jpg`` it is ``images/0013.png``,
     or else ``0013.png``, or another of :data:`slgaussian.masks.configs.DEPTH_SUFFIXES`, and
-    confidence ``0013_conf.png``. With several scenes, each may have a subfolder of its name;
-    samples of one place, such as ``hall_0003_0007``, share the subfolder of the place, ``hall``.
+    confidence ``0013_conf.png``; or the views of a folder, in their order, as
+    :func:`slgaussian.formats.depth_maps.numbered_views` lists them. With several scenes, each may
+    have a subfolder of its name; samples of one place, such as ``hall_0003_0007``, share the
+    subfolder of the place, ``hall``.
 
     Pixels without depth are completed like pixels that a sweep could not match. Pixels of a level
     of confidence that other views mostly contradict are marked as guessed.
@@ -116,6 +124,8 @@ def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
     folders = (place / name for name in (sample.scene, FRAME_NUMBERS.sub("", sample.scene)))
     place = next((folder for folder in folders if folder.is_dir()), place)
+    if numbered_views(place):
+        return _select_maps(place, sample.context)
     return [_find_map(place, view) for view in sample.context]
 
 

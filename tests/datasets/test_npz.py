@@ -13,6 +13,7 @@ from slgaussian.datasets.npz import FLIP_YZ
 from slgaussian.datasets.recognise import posed_scene
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View
+from tests.program_outputs import write_da3_cli
 
 VIEWS = ("view_00", "view_01", "view_02")
 
@@ -67,17 +68,20 @@ def layouts(room: list[View], name: str) -> tuple[str, dict[str, np.ndarray]]:
     }[name]
 
 
-LAYOUTS = "vggt", "dust3r", "letter-boxed", "inverted", "opengl", "stored"
+LAYOUTS = "vggt", "dust3r", "letter-boxed", "inverted", "opengl", "stored", "depth-anything.cpp"
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_cameras_of_every_convention_equal_the_true_ones(layout, folder, room, tmp_path):
-    warning, arrays = layouts(room, layout)
-    np.savez(tmp_path / "results.npz", **arrays)
+    if layout == "depth-anything.cpp":
+        warning, place = "", write_da3_cli(tmp_path / "depth", room)
+    else:
+        warning, arrays = layouts(room, layout)
+        np.savez(place := tmp_path / "results.npz", **arrays)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         files = [str(folder / f"{name}.png") for name in VIEWS]
-        scene, start = posed_scene(tmp_path / "results.npz", files)
+        scene, start = posed_scene(place, files)
     messages = [str(item.message) for item in caught if item.category is UserWarning]
     assert len(messages) == bool(warning)
     assert all(warning in message for message in messages)

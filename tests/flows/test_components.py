@@ -11,20 +11,22 @@ import numpy as np
 import pytest
 import torch
 from command import room_sample, run, save_photographs, score, settings
-from PIL import Image
 
 from benches.predict.random_mvsplat_weights import recipe_weights
 from flows.config import Settings
 from flows.read_config import make_settings
 from flows.runners.batches import SceneTask
 from flows.scene import scene_task
+from slgaussian import datasets
 from slgaussian.components.pretrained import model_digest
 from slgaussian.field import SemanticField
 from slgaussian.masks.configs import folder_digest, geometry_digest
+from slgaussian.scene import View
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.stage import Stage, canonical
 from tests.language.small_clip import save_clip
 from tests.masks.small_models import save_sam, save_sam2
+from tests.program_outputs import write_da3_cli, write_predictions
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -166,25 +168,56 @@ def test_run_is_cached_by_content_of_files_wherever_they_are(places, tmp_path, s
         assert not file.is_file() or str(places["sam"].parent).encode() not in file.read_bytes()
 
 
-def test_field_is_built_from_depth_and_cameras_in_file(tmp_path, monkeypatch):
-    """An NPZ in the layout of Depth Anything 3, with its photographs beside it."""
-    views = [command.room(*SIZE).read(name) for name in ROOM["context"]]
-    for view in views:
-        Image.fromarray(view.image).save(tmp_path / f"{view.name}.png")
+def write_results(folder: Path, views: list[View]) -> Path:
+    """Write an NPZ in the layout of Depth Anything 3."""
     arrays = {"depth": [v.depth for v in views], "conf": np.ones((2, *SIZE), np.float32)}
     arrays |= {"extrinsics": [v.camera.w2c[:3] for v in views]}
-    file = tmp_path / "results.npz"
-    np.savez(file, **arrays, intrinsics=[v.camera.K for v in views])
-    words = ["--predictor", "precomputed", "--set", f"precomputed.geometry={file}"]
+    np.savez(folder / "results.npz", **arrays, intrinsics=[v.camera.K for v in views])
+    return folder / "results.npz"
+
+
+@pytest.mark.parametrize(
+    ("write", "given"),
+    [
+        (write_results, False),
+        (lambda folder, views: write_da3_cli(folder / "depth", views), False),
+        (lambda folder, views: write_predictions(folder / "a.npz", views, "vggt"), False),
+        (lambda folder, views: write_predictions(folder / "a.npz", views, "mapanything"), True),
+    ],
+    ids=["Depth Anything 3", "depth-anything.cpp", "VGGT by ggml", "MapAnything by ggml"],
+)
+def test_field_is_built_from_depth_and_cameras_in_file(tmp_path, monkeypatch, write, given):
+    views = [command.room(*SIZE).read(name) for name in ROOM["context"]]
+    command.write_photographs(tmp_path, {f"{view.name}.png": view for view in views})
+    place = write(tmp_path, views)
+    words = ["--predictor", "precomputed", "--set", f"precomputed.geometry={place}"]
+    words += ["--cameras", tmp_path] if given else []
     photos = [tmp_path / f"{view.name}.png" for view in views]
     assert run(monkeypatch, "field", *photos, *words, "-o", tmp_path / "field") == 0
     field = SemanticField.load(tmp_path / "field")
-    assert field.settings["precomputed"]["geometry"] == geometry_digest(file)
+    assert field.settings["precomputed"]["geometry"] == geometry_digest(place)
     assert field.settings["quality"]["confirmed"] > 0.8
     for view in views:
         camera = field.cameras[f"{view.name}.png"]
         np.testing.assert_allclose(camera.c2w, view.camera.c2w, atol=1e-6)
         assert np.median(np.abs(field.render(camera).depth / view.depth - 1)) < 0.02
+
+
+@pytest.mark.whole
+def test_field_of_a_real_pair_is_built_from_numbered_views(real_data, tmp_path, monkeypatch):
+    scene = datasets.load("nerfstudio", real_data / "office")
+    views = [scene.read(f"images/{name}.png") for name in ("00346", "00348")]
+    place = write_da3_cli(tmp_path / "depth", views)
+    words = ["--predictor", "precomputed", "--set", f"precomputed.geometry={place}"]
+    photos = [real_data / "office" / view.name for view in views]
+    assert run(monkeypatch, "field", *photos, *words, "-o", tmp_path / "field") == 0
+    field = SemanticField.load(tmp_path / "field")
+    assert field.settings["quality"]["confirmed"] > 0.5
+    for view, camera in zip(views, field.cameras.values(), strict=True):
+        np.testing.assert_allclose(camera.c2w, view.camera.c2w, atol=1e-5)  # of 6 digits
+        true = view.resize(camera.height, camera.width).depth
+        off = np.abs(field.render(camera).depth / np.where(true > 0, true, 1) - 1)[true > 0]
+        assert np.median(off) < 0.02
 
 
 @pytest.fixture(scope="module")

@@ -16,6 +16,7 @@ from slgaussian.datasets.recognise import cameras_in
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.scene import Estimated
+from tests.datasets.taken_photographs import stereo_pair
 
 SIZE = 96, 128
 PHOTOS = [f"{name}.png" for name in ROOM["context"]]
@@ -95,7 +96,24 @@ def test_cameras_writes_the_estimated_cameras(photos, slg, refusal):
     assert slg("cameras", *PHOTOS, "-o", out)[0] == 0  # its own are replaced
     assert slg("masks", *PHOTOS, "--cameras", out, "-o", "ids")[0] == 0
     error = refusal("cameras", *PHOTOS, "-o", "there")
-    assert "error: there: cannot be written (Is a directory)" in error
+    assert "error: there: exists and is no COLMAP model as" in error
+
+
+@pytest.mark.whole
+def test_field_of_cameras_from_colmap_is_that_of_transforms_json(tmp_path, slg):
+    photos = [tmp_path / "a.png", tmp_path / "b.png"]
+    for file, pixels in zip(photos, stereo_pair(), strict=True):
+        Image.fromarray(pixels).save(file)
+    fields = []
+    for out in (tmp_path / "sparse/0", tmp_path / "transforms.json"):
+        status, printed, _ = slg("cameras", *photos, "-o", out)
+        assert status == 0 and printed.splitlines()[-1] == str(out)
+        assert slg("field", *photos, "--cameras", out, "-o", f"{out}-field")[0] == 0
+        fields.append(SemanticField.load(f"{out}-field"))
+    colmap, nerfstudio = (field.gaussians.to_arrays() for field in fields)
+    for name, values in colmap.items():
+        np.testing.assert_allclose(values, nerfstudio[name], atol=1e-9, err_msg=name)
+    assert fields[0].settings["cameras"] == fields[1].settings["cameras"]
 
 
 def test_commands_leave_out_a_photograph_without_camera(photos, slg):
@@ -125,6 +143,8 @@ def test_commands_refuse_bad_photographs_before_any_work(photos, monkeypatch, re
     (photos / "mine.json").write_text('{"frames": []}')
     for words, error in [
         (("cameras", *PHOTOS, "-o", "mine.json"), "mine.json: exists and was not written"),
+        (("cameras", *PHOTOS, "-o", "a.json", "--format", "colmap"), "expected no suffix, as of"),
+        (("cameras", *PHOTOS, "--format", "llff"), "format: found 'llff' without a file"),
         (("cameras", PHOTOS[0]), "expected at least two"),
         (("field", "a.jpg", "b.jpg"), "a.jpg: cannot be read (No such file"),
     ]:

@@ -1,5 +1,6 @@
 """Depth from files: exported depth, every file format, and conventions that must fit."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +14,14 @@ from slgaussian.build import predict
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.masks.configs import geometry_digest
 from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep, sweep
 from slgaussian.predict.precomputed import _read as read_depths
 from slgaussian.predict.precomputed import find_maps
 from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Sample, View
+from tests.program_outputs import write_da3_cli, write_pfm
 
 STEEP = Plane(np.array([0.5, 0.4, 1.0]), 3.0)
 CAMERAS = camera(turn=0.1), camera(x=0.6, turn=-0.1)
@@ -64,11 +67,6 @@ def test_depth_of_a_sweep_read_again_makes_the_gaussians_of_the_sweep(tmp_path, 
     arrays = predict_from(scene, save(tmp_path, depth=np.array(depth))).to_arrays()
     for name, values in expected.items():
         np.testing.assert_allclose(arrays[name], values, atol=1e-6, err_msg=name)
-
-
-def write_pfm(file: Path, depth: np.ndarray) -> None:
-    head = f"Pf\n{depth.shape[1]} {depth.shape[0]}\n-1.0\n".encode()
-    file.write_bytes(head + depth[::-1].astype("<f4").tobytes())
 
 
 KINDS = {
@@ -238,6 +236,45 @@ def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
     visible = ~arrays["guessed"]
     assert visible[row < 40].mean() < 0.1  # what shares a step of confidence with what is sure
     assert visible[row >= 50].mean() > 0.7
+
+
+def test_identity_of_numbered_views_has_their_cameras(tmp_path, steep):
+    folder = write_da3_cli(tmp_path / "depth", steep.context)
+    before = geometry_digest(folder)
+    (folder / "out_view1.json").write_text("{}")
+    assert geometry_digest(folder) != before
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: (d / "out_view0.json").unlink(), "out_view1.pfm, expected the views of one"),
+        (lambda d: shutil.copy(d / "out_view0.pfm", d / "out_view2.pfm"), None),
+        (lambda d: (d / "out_view1.json").write_text('{"extrinsics": [[1]]}'), "view1.json: holds"),
+        (lambda d: (d / "out_view1.json").write_text("{"), "out_view1.json: holds no extrinsics"),
+        (lambda d: write_pfm(d / "out_view1.pfm", np.ones((3, 4))), r"is \(3, 4\), expected"),
+        (
+            lambda d: (d / "out_view1.pfm").write_bytes(b"Pf\n9 9\n-1\n"),
+            "view1.pfm: cannot be read",
+        ),
+        (
+            lambda d: [f.rename(d / f.name.replace("out", "p")) for f in [*d.glob("*1.*")]],
+            "holds out_view0.pfm, p_view1.pfm, expected the views of one call",
+        ),
+    ],
+    ids=["no json", "no json of a third", "shape", "no json text", "size", "cut", "two calls"],
+)
+def test_numbered_views_that_are_not_whole_are_refused(tmp_path, steep, change, message):
+    folder = write_da3_cli(tmp_path / "depth", steep.context)
+    change(folder)
+    if message is None:  # it is no view of this program
+        assert off(steep, folder) < 0.01
+        return
+    with pytest.raises(InputError, match=message):
+        predict_from(steep, folder)
+    three = Sample("steep", (*steep.context, replace(steep.context[0], name="c.png")))
+    with pytest.raises(InputError, match=r"holds 2 maps without names, for 3 .*; give the photog"):
+        predict_from(three, write_da3_cli(tmp_path / "two", steep.context))
 
 
 def test_what_cannot_be_read_is_said(tmp_path, steep):
