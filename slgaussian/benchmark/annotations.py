@@ -161,9 +161,9 @@ def label_files(folder: str | Path, view_name: str, namesakes: Sequence[str] = (
 
 def _find_json(folder: Path, view_name: str, namesakes: Sequence[str]) -> tuple[Path, bool]:
     """Return the JSON file with the labels of a frame, and whether it is COCO's."""
-    own = companion(folder, view_name, [".json"], namesakes)
-    coco = find_coco(folder) if own is None else None
-    return own or coco or folder / f"{name_parts(view_name)[-1]}.json", coco is not None
+    file = companion(folder, view_name, [".json"], namesakes)
+    coco = find_coco(folder) if file is None else None
+    return file or coco or folder / f"{name_parts(view_name)[-1]}.json", coco is not None
 
 
 def _read_frame(

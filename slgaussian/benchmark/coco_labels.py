@@ -58,9 +58,9 @@ def read_frame(
     coco = read_coco(file)
     image = coco.find(view_name, namesakes)
     if image is None or image.id not in coco.annotations:
-        found = "lists no image" if image is None else "has no annotation"
+        fault = "lists no image" if image is None else "has no annotation"
         raise InputError(
-            f"{file}: {found} of {view_name!r}, so it is not labelled; label it, or ask another"
+            f"{file}: {fault} of {view_name!r}, so it is not labelled; label it, or ask another"
         )
     part = window or Window.covering(image.width, image.height, width, height)
     part.check_shape(f"{file}: {image.file_name!r}", image.width, image.height)

@@ -114,7 +114,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     for number, stored in stored_cameras.items():
         camera_files = (file for name, file in files.items() if poses[name].camera == number)
         lenses[number] = _lens(stored, next(filter(is_there, camera_files), None))
-    record = own_record(source)
+    record = read_record(source)
     estimated, cameras, maps = record.get("estimated", {}), {}, {}
     for name in files:
         K, size, lens = lenses[poses[name].camera]
@@ -131,7 +131,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     return make_scene(name, cameras, files, source, used, maps, estimation=record.get("estimation"))
 
 
-def own_record(folder: Path) -> dict[str, Any]:
+def read_record(folder: Path) -> dict[str, Any]:
     """Read :data:`RECORD_FILE` of a model; empty if there is none, or it is of other files.
 
     Raises:
@@ -147,8 +147,8 @@ def own_record(folder: Path) -> dict[str, Any]:
         ):
             raise ValueError("expected an object of files, estimation and estimated")
     model = (file for file in folder.iterdir() if file.suffix in (".bin", ".txt"))
-    is_own = {file.name: file_sha256(file) for file in model} == record["files"]
-    return record if is_own else {}
+    unchanged = {file.name: file_sha256(file) for file in model} == record["files"]
+    return record if unchanged else {}
 
 
 def models_in(path: Path) -> list[Path]:

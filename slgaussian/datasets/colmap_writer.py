@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets.colmap import RECORD_FILE, own_record
+from slgaussian.datasets.colmap import RECORD_FILE, read_record
 from slgaussian.datasets.sparse_model import SparseModel
 from slgaussian.errors import InputError
 from slgaussian.io import atomic_folder, explain_write_errors, file_sha256
@@ -45,7 +45,7 @@ def check_folder(folder: Path) -> None:
     """
     if not folder.exists():
         return
-    files = own_record(folder).get("files", {})
+    files = read_record(folder).get("files", {})
     if not folder.is_dir() or {file.name for file in folder.iterdir()} - {RECORD_FILE, *files}:
         raise InputError(
             f"{folder}: exists and is no COLMAP model as `slgaussian cameras` wrote it; choose "

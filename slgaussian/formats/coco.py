@@ -147,10 +147,10 @@ def read_coco(file: Path) -> Coco:
     annotations: dict[int, list[Annotation]] = {}
     for annotation in document.annotations:
         for key, known in (("image_id", images), ("category_id", categories)):
-            if (found := getattr(annotation, key)) not in known:
+            if (number := getattr(annotation, key)) not in known:
                 kind = "images" if key == "image_id" else "categories"
                 raise InputError(
-                    f"{_name(file, annotation)}: its {key} {found} is none of the {kind}; add it "
+                    f"{_name(file, annotation)}: its {key} {number} is none of the {kind}; add it "
                     "there, or correct it"
                 )
         _check_segmentation(_name(file, annotation), annotation, images[annotation.image_id])

@@ -53,20 +53,20 @@ def write_grouping(folder: Path, views: Sequence[View], maps: LabelMaps) -> dict
 
     names, ids = loader_names(views), maps.ids
     largest = np.argsort(-maps.areas().sum(1), kind="stable")[:MAX_OBJECTS]
-    kept = np.sort(ids[largest])
+    chosen = np.sort(ids[largest])
     if len(ids) > MAX_OBJECTS:
         warnings.warn(
             f"{len(ids)} objects: masks with 8 bits hold {MAX_OBJECTS}, so the "
             f"{len(ids) - MAX_OBJECTS} smallest are left out",
             stacklevel=2,
         )
-    if kept.max(initial=0) > MAX_OBJECTS:
+    if chosen.max(initial=0) > MAX_OBJECTS:
         warnings.warn(f"ids above {MAX_OBJECTS}: all are numbered anew from 1", stacklevel=2)
-        numbers = np.arange(1, len(kept) + 1)
+        numbers = np.arange(1, len(chosen) + 1)
     else:
-        numbers = kept
+        numbers = chosen
     table = np.zeros(len(ids) + 1, np.uint8)
-    table[np.searchsorted(ids, kept) + 1] = numbers
+    table[np.searchsorted(ids, chosen) + 1] = numbers
     (folder / OBJECT_MASKS).mkdir()
     files = {}
     for view, labels in zip(views, maps.labels, strict=True):
@@ -147,20 +147,20 @@ def recognise_layout(place: Path) -> tuple[Layout, Path]:
     """
     if place.is_file():
         return "coco", place
-    found: list[tuple[Layout, Path]] = []
+    fitting: list[tuple[Layout, Path]] = []
     if (place / OBJECT_MASKS).is_dir():
-        found.append(("gaussian-grouping", place / OBJECT_MASKS))
+        fitting.append(("gaussian-grouping", place / OBJECT_MASKS))
     for folder in (place, place / LANGUAGE_FEATURES):
         segments = {file.name[: -len("_s.npy")] for file in folder.glob("*_s.npy")}
         features = {file.name[: -len("_f.npy")] for file in folder.glob("*_f.npy")}
         if segments & features:
-            found.append(("langsplat", folder))
+            fitting.append(("langsplat", folder))
     if (coco := find_coco(place)) is not None:
-        found.append(("coco", coco))
+        fitting.append(("coco", coco))
     maps = [*place.glob("*.png"), *place.glob("*.npy")]
     if any(not file.name.endswith(("_s.npy", "_f.npy")) for file in maps):
-        found.append(("ids", place))
-    if len(found) > 1:
-        layouts = " and ".join(f"{layout} ({where.name})" for layout, where in found)
+        fitting.append(("ids", place))
+    if len(fitting) > 1:
+        layouts = " and ".join(f"{layout} ({where.name})" for layout, where in fitting)
         raise InputError(f"{place}: has masks in the layouts {layouts}; give a place with one")
-    return found[0] if found else ("ids", place)
+    return fitting[0] if fitting else ("ids", place)

@@ -227,14 +227,14 @@ def _are_opacities(path: str | Path, table: np.ndarray) -> bool:
     opacity = table["opacity"]
     if len(table) < MANY:
         return False
-    found = opacity.min() >= 0 and opacity.max() <= 1 and np.ptp(opacity) > 0.5
-    if found:
+    linear = opacity.min() >= 0 and opacity.max() <= 1 and np.ptp(opacity) > 0.5
+    if linear:
         warnings.warn(
             f"{path}: has opacities from {opacity.min():.2g} to {opacity.max():.2g}, as MVSplat "
             "and pixelSplat write them, where logits are expected; taken as they are",
             stacklevel=3,
         )
-    return bool(found)
+    return bool(linear)
 
 
 def _finite(

@@ -128,9 +128,9 @@ class Precomputed(_Masks):
                 "--proposer precomputed"
             )
         if layout == "coco":
-            shape, found = view.image.shape[:2], list(self.annotations(view))
+            shape, drawn = view.image.shape[:2], list(self.annotations(view))
             ids = np.zeros(shape, np.int32)
-            for annotation, mask in sorted(found, key=lambda each: -each[1].sum()):
+            for annotation, mask in sorted(drawn, key=lambda each: -each[1].sum()):
                 ids[mask] = self.tracks[annotation.track]
         else:
             place = self.find(view, MAP_SUFFIXES, "{0}.png or {0}.npy")
