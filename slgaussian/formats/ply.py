@@ -4,15 +4,17 @@ One element ``vertex`` with the property names of the implementation of Kerbl et
 Splatting", 2023: means ``x y z``, normals ``nx ny nz`` (zero, unused), colour
 ``f_dc_0..2`` and ``f_rest_*`` (coefficients 1 and up of red, then of green, then of blue; see
 :mod:`slgaussian.rasterize.harmonics`), ``opacity`` as a logit, ``scale_0..2`` as natural
-logarithms, ``rot_0..3`` as wxyz. This project adds ``f_sem_*`` for features, and ``source`` and
-``label``; viewers ignore unknown properties. The comment ``origin X Y Z`` is the position in the
-world to which the means are relative, where float32 cannot hold them in the world. Integers are
-written as floats if that is exact, because some readers assume that every property is a float.
+logarithms, ``rot_0..3`` as wxyz. With degree 3, padded with zeros, these are the 62 columns, 248
+bytes a vertex, that some viewers demand exactly. The full form adds columns of this project:
+``f_sem_*`` for features, and ``source`` and ``label``. The comment ``origin X Y Z`` is the position
+in the world to which the means are relative, where float32 cannot hold them in the world. Integers
+are written as floats if that is exact, because some readers assume that every property is a float.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -25,6 +27,7 @@ from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError, check_type
+from slgaussian.formats.writable import check_labels, check_writable
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 from slgaussian.scene import local_origin
@@ -53,7 +56,9 @@ _ANTIALIASED = re.compile(
 _NUMBER = r"(-?\d+\.?\d*(?:e[-+]?\d+)?)"
 
 
-def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
+def save_ply(
+    gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None, full: bool = False
+) -> None:
     """Write Gaussians atomically as a binary little-endian ``.ply``.
 
     Args:
@@ -62,22 +67,22 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
             Positions are relative to their origin, which is a comment of the header unless it is
             zero: ``origin X Y Z``. Other programs show them there, and so near zero.
         path: An existing file is replaced.
-        labels: int [N], optional. Object of each Gaussian, 0 for none; written as ``label``.
+        labels: int [N], optional. Object of each Gaussian, 0 for none; written if ``full``.
+        full: Write the harmonics at their own degree, and then the features as ``f_sem_*``, the
+            source pixel as ``source`` and ``labels`` as ``label``; by default the 62 columns of
+            3D Gaussian splatting and no others.
 
     Raises:
         InputError: If a number is NaN, infinite or out of range, the degree is above 3, ``labels``
             have another shape or type, or the file cannot be written.
     """
     check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
-    gaussians.check()
+    check_writable(gaussians, "a .ply")
     arrays, n = gaussians.to_arrays(), len(gaussians)
-    sh, features = arrays["sh"], arrays.get("features", np.empty((n, 0)))
+    sh = arrays["sh"]
+    if not full:
+        sh = np.pad(sh, ((0, 0), (0, 16 - sh.shape[1]), (0, 0)))
     rest = sh.shape[1] - 1
-    if 3 * rest not in REST_COUNTS:
-        raise InputError(
-            f"gaussians sh: found {sh.shape[1]} coefficients a colour, expected 1, 4, 9 or 16: a "
-            ".ply holds harmonics of degree 0 to 3"
-        )
     with np.errstate(divide="ignore"):  # log of 0; MIN_LOGIT is written instead
         logits = logit(arrays["opacities"].astype(np.float64)).clip(MIN_LOGIT, MAX_LOGIT)
         logs = np.log(arrays["scales"].astype(np.float64)).clip(MIN_LOGIT)
@@ -89,16 +94,19 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
         (["opacity"], logits[:, None]),
         (_SCALES, logs),
         (_ROTATIONS, arrays["quats"]),
-        ([f"f_sem_{i}" for i in range(features.shape[1])], features),
     ]
     columns = {
         name: column
         for names, values in groups
         for name, column in zip(names, values.T, strict=True)
     }
-    integers = {"source": arrays["source"]}
-    if labels is not None:
-        integers["label"] = _check_labels(labels, n)
+    integers = {}
+    if full:
+        features = arrays.get("features", np.empty((n, 0)))
+        columns |= {f"f_sem_{i}": column for i, column in enumerate(features.T)}
+        integers["source"] = arrays["source"]
+    if full and labels is not None:
+        integers["label"] = check_labels(labels, n)
     kinds = dict.fromkeys(columns, "<f4")
     for name, values in integers.items():
         kinds[name] = "<f4" if np.array_equal(values.astype("<f4"), values) else "<i4"
@@ -118,7 +126,8 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     It may be ASCII or binary of either byte order, with columns of any numeric type in any order.
     Doubles that float32 cannot hold as positions get a local origin. Missing ``f_rest_*`` mean
     view-independent colours; without an integer ``source`` the Gaussians are numbered from 0.
-    Rotations are normalised, normals are dropped, and infinite logits give opacities 0 and 1.
+    Rotations are normalised, normals and degrees of only zeros are dropped, and infinite logits
+    give opacities 0 and 1.
 
     Returns:
         gaussians: Gaussians. In float32. :func:`save_ply` rounds logits and logarithms: opacities
@@ -174,8 +183,15 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: vertex {int(np.argmin(lengths))} has the rotation (0, 0, 0, 0), which is "
             "none; remove it, or write the file again"
         )
-    sh = np.empty((n, 1 + len(rest) // 3, 3), np.float32)
-    sh[:, 0], sh[:, 1:] = read(_DC), read(rest).reshape(n, 3, len(rest) // 3).mT
+    higher = read(rest).reshape(n, 3, len(rest) // 3).mT
+    # A degree that is only padding costs time in every rendering.
+    while higher.shape[1]:
+        lower = math.isqrt(higher.shape[1]) ** 2 - 1
+        if higher[:, lower:].any():
+            break
+        higher = higher[:, :lower]
+    sh = np.empty((n, 1 + higher.shape[1], 3), np.float32)
+    sh[:, 0], sh[:, 1:] = read(_DC), higher
     source = _whole(table["source"]) if "source" in names else None
     arrays = {
         "means": read(_MEANS),
@@ -262,14 +278,3 @@ def _whole(values: np.ndarray) -> np.ndarray | None:
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
-
-
-def _check_labels(labels: np.ndarray, n: int) -> np.ndarray:
-    labels = np.asarray(labels)
-    if labels.shape != (n,) or labels.dtype.kind not in "iu":
-        raise InputError(
-            f"labels: found {labels.dtype} {labels.shape}, expected an integer a Gaussian, ({n},)"
-        )
-    if n and not -(2**31) <= labels.min() <= labels.max() < 2**31:
-        raise InputError(f"labels: found {labels.min()} to {labels.max()}, expected 32-bit numbers")
-    return labels

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ READERS = {
 WRITERS = {
     ".ply": "slgaussian.formats.ply:save_ply",
     ".spz": "slgaussian.formats.spz:save_spz",
+    ".sog": "slgaussian.formats.sog:save_sog",
+    ".glb": "slgaussian.formats.glb:save_glb",
 }
 """Functions by suffix: (Gaussians, path, labels int [N] or None)."""
 
@@ -31,14 +34,28 @@ def load_gaussians(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
 
 
 def save_gaussians(
-    gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None
+    gaussians: Gaussians,
+    path: str | Path,
+    labels: np.ndarray | None = None,
+    full: bool = False,
+    names: Mapping[int, str] | None = None,
 ) -> None:
     """Write Gaussians atomically, with the object of each where the format has a place for it.
 
+    Args:
+        labels: int [N], optional. Object of each Gaussian, 0 for none.
+        full: Write the columns of this project too, which only a ``.ply`` holds.
+        names: {label: str}, optional. Names of the objects, which only a ``.glb`` holds.
+
     Raises:
-        InputError: If the suffix names no format, and as the writer of the suffix.
+        InputError: If the suffix names no format, or none that ``full`` is for, and as the writer
+            of the suffix.
     """
-    _function(path, WRITERS)(gaussians, path, labels)
+    write, suffix = _function(path, WRITERS), Path(path).suffix.lower()
+    if full and suffix != ".ply":
+        raise InputError(f"{path}: full is for .ply files; leave it out")
+    options: dict[str, Any] = {".ply": {"full": full}, ".glb": {"names": names}}
+    write(gaussians, path, labels, **options.get(suffix, {}))
 
 
 def _function(path: str | Path, table: dict[str, str]) -> Any:
