@@ -80,7 +80,7 @@ def save_glb(
         "mode": POINTS,
         "extensions": {EXTENSION: SPLATS},
     }
-    extras = {"origin": turned.origin.tolist(), "objects": dict(names or {})}
+    extras = {"origin": (turned.origin + 0).tolist(), "objects": dict(names or {})}
     about = {
         "asset": {"version": "2.0", "generator": "SLGaussian"},
         "extensionsUsed": [EXTENSION],
