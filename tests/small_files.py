@@ -326,7 +326,7 @@ def read_tables(folder: Path) -> None:
 
 
 def make_ply(folder: Path) -> None:
-    save_ply(gaussians(), folder / "a.ply", labels=np.arange(40) % 3)
+    save_ply(gaussians(), folder / "a.ply", np.arange(40) % 3, full=True)
     content = plyfile.PlyData.read(folder / "a.ply")
     plyfile.PlyData([content["vertex"]], text=True).write(folder / "b.ply")
     faces = np.array([([0, 1, 2],), ([3, 4],)], [("vertex_indices", "O")])

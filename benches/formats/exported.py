@@ -3,7 +3,8 @@
     python -m benches.formats.exported DATA [-o docs/measured]
 
 DATA is a folder of pairs of photographs, such as the office. The bench measures its first three
-scenes and a procedural room. Chromium, which must be installed, draws the page (.html).
+scenes and a procedural room. Chromium, which must be installed, draws the page (.html), and the
+other files by programs of others, which ``npm ci`` in tests/formats/readers installs.
 """
 
 import base64
@@ -25,11 +26,21 @@ from slgaussian.field import SemanticField
 from slgaussian.formats.splats import READERS, load_gaussians, save_gaussians
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import rasterize
+from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser
+from tests.formats.viewers import convert, serve_viewers
 
 SCENES = 3
+
+VIEWERS = {
+    ".ply": ("spark", 0.3, False),
+    ".spz": ("spark", 0.3, True),
+    ".sog": ("spark", 0.3, False),
+    ".glb": ("playcanvas", 0.3 / 4, True),
+}
+"""Viewer of a format, what it adds to projected covariances in px^2, and if y is up in the file."""
 
 
 def measure_formats(
@@ -40,15 +51,27 @@ def measure_formats(
     middle = between(cameras[0], cameras[-1], 0.5)
     true = [_draw(field.gaussians, camera) for camera in (*cameras, middle)]
     common = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
-    for suffix in READERS:
+    for suffix, (viewer, low_pass, y_up) in VIEWERS.items():
         file = folder / f"scene{suffix}"
-        save_gaussians(field.gaussians, file)
-        reloaded, _ = load_gaussians(file)
-        errors = [
-            psnr(_draw(reloaded, camera), original)
-            for camera, original in zip((*cameras, middle), true, strict=True)
-        ]
-        yield common | _row(suffix, file, min(errors[:-1]), errors[-1])
+        save_gaussians(field.gaussians, file, field.labels())
+        with (
+            tempfile.TemporaryDirectory() as served,
+            serve_viewers(browser, Path(served)) as viewers,
+        ):
+            (Path(served) / file.name).symlink_to(file)
+            seen = viewers.draw(viewer, file.name, middle, y_up)
+        drawn = psnr(seen, _draw(field.gaussians, middle, Settings(low_pass=low_pass)))
+        row = common | _row(suffix, file) | {"viewer": viewer, "drawn": drawn}
+        if suffix == ".sog":
+            file = convert(file, folder / "sog.ply")
+        if file.suffix in READERS:
+            reloaded, _ = load_gaussians(file)
+            errors = [
+                psnr(_draw(reloaded, camera), original)
+                for camera, original in zip((*cameras, middle), true, strict=True)
+            ]
+            row |= {"context": min(errors[:-1]), "between": errors[-1]}
+        yield row
     # The page gets the camera between the views only for this measurement.
     file = folder / "scene.html"
     file.write_text(scene_page(field), "utf-8")
@@ -64,16 +87,16 @@ def measure_formats(
         psnr(picture, field.render(camera).rgb)
         for picture, camera in zip(rendered, with_middle.cameras.values(), strict=True)
     ]
-    yield common | _row(".html", file, min(errors[:-1]), errors[-1]) | {"megabytes": size / 1e6}
+    row = {"megabytes": size / 1e6, "context": min(errors[:-1]), "between": errors[-1]}
+    yield common | _row(".html", file) | row
 
 
-def _row(suffix: str, file: Path, context: float, novel: float) -> dict:
-    megabytes = file.stat().st_size / 1e6
-    return {"format": suffix, "megabytes": megabytes, "context": context, "between": novel}
+def _row(suffix: str, file: Path) -> dict:
+    return {"format": suffix, "megabytes": file.stat().st_size / 1e6}
 
 
-def _draw(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    picture = rasterize(gaussians, None, camera).values.numpy()
+def _draw(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast") -> np.ndarray:
+    picture = rasterize(gaussians, None, camera, settings=settings).values.numpy()
     return np.rint(picture.clip(0, 1) * 255).astype(np.uint8)
 
 
@@ -91,6 +114,8 @@ COLUMNS = {
     "bytes": ("bytes a Gaussian", ".1f"),
     "context": ("PSNR at context, dB", ".1f"),
     "between": ("PSNR between, dB", ".1f"),
+    "viewer": ("viewer", str),
+    "drawn": ("PSNR in the viewer, dB", ".1f"),
 }
 
 

@@ -216,10 +216,10 @@ def extract(
     field: options.Folder,
     text: Annotated[str, typer.Argument(metavar="OBJECT", help="A text, a name, or an id.")],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help=".ply or .spz file, or folder for a field.")
+        Path, typer.Option("--out", "-o", help="File that `export` writes, or folder for a field.")
     ],
 ) -> None:
-    """Write the objects of a query alone, as a field or a file of Gaussians.
+    """Write the objects of a query alone, as a field or a file that `export` writes.
 
     A text selects objects as `query` does, but in the whole scene instead of a view. The exit
     status is 3 if the verdict is "not here" or "cannot tell"; then nothing is written.

@@ -215,24 +215,33 @@ def export(
     ctx: typer.Context,
     folder: options.Folder,
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz; folder for masks.")
+        Path,
+        typer.Option(
+            "--out", "-o", help="File: .html, .ply, .spz, .sog or .glb; folder for masks."
+        ),
     ],
     texts: Annotated[
         list[str] | None,
         typer.Option("--text", help="Further text that a page answers; may be repeated."),
     ] = None,
+    full: Annotated[
+        bool, typer.Option("--full", help="Write all data of each Gaussian into a .ply.")
+    ] = False,
 ) -> None:
     """Write a field as a web page, or as a file for other viewers.
 
     A page (.html) opens from disk in any browser, without a network, with queries and object
-    selection. It contains small copies of the photographs. A .ply has all data: each Gaussian also
-    has its ID code and weight (f_sem_0 and on), its source pixel (source), and its object (label, 0
-    for none). A .spz stores Gaussians in fewer bytes. The masks.parquet of a run becomes a folder
-    of PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png.
+    selection. It contains small copies of the photographs. A .ply has the 62 columns of 3D Gaussian
+    splatting that viewers expect; with --full each Gaussian also has its ID code and weight
+    (f_sem_0 and on), its source pixel (source), and its object (label, 0 for none). A .spz and a
+    .sog store Gaussians in fewer bytes. A .glb is glTF with KHR_gaussian_splatting, which has the
+    object of each Gaussian (_LABEL) and the names of objects. The masks.parquet of a run becomes a
+    folder of PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png.
 
     \b
     slgaussian export field/ -o scene.html
     slgaussian export field/ -o scene.spz
+    slgaussian export field/ -o scene.ply --full
     slgaussian export results/masks.parquet -o masks
     """
     from flows.cli.open_field import open_field
@@ -241,6 +250,8 @@ def export(
     from slgaussian.io import write_file
     from slgaussian.viewer.page.scene_page import scene_page
 
+    if full and out.suffix.lower() != ".ply":
+        raise InputError(f"{out}: --full is for .ply files; leave it out")
     if folder.suffix == ".parquet" and not texts:
         from slgaussian.benchmark.outputs import export_masks
 
@@ -262,9 +273,19 @@ def export(
         size = f"{len(data) / 1e6:.1f} MB"
         typer.echo(f"{size}, to open in any browser, without a network", err=True)
     else:
-        field = SemanticField.load(folder).drop_hidden()
-        save_gaussians(field.gaussians, out, field.labels(), field.cameras)
+        field, names = SemanticField.load(folder).drop_hidden(), None
+        if suffix == ".glb":
+            names = _name_objects(open_field(folder, ctx, rules=False)[1])
+        save_gaussians(field.gaussians, out, field.labels(), field.cameras, full, names)
     typer.echo(out)
+
+
+def _name_objects(field: SemanticField) -> dict[int, str]:
+    """Return the name of each object, or the word that fits it best."""
+    from slgaussian.objects import rank_words
+
+    best = (words[0][0] for words in rank_words(field))
+    return dict(zip(field.bank.ids.tolist(), best, strict=True)) | dict(field.edits.names)
 
 
 def _photographs(folder: Path, field: SemanticField) -> dict[str, np.ndarray]:

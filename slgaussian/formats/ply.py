@@ -4,15 +4,17 @@ One element ``vertex`` with the property names of the implementation of Kerbl et
 Splatting", 2023: means ``x y z``, normals ``nx ny nz`` (zero, unused), colour
 ``f_dc_0..2`` and ``f_rest_*`` (coefficients 1 and up of red, then of green, then of blue; see
 :mod:`slgaussian.rasterize.harmonics`), ``opacity`` as a logit, ``scale_0..2`` as natural
-logarithms, ``rot_0..3`` as wxyz. This project adds ``f_sem_*`` for features, and ``source`` and
-``label``; viewers ignore unknown properties. The comment ``origin X Y Z`` is the position in the
-world to which the means are relative, where float32 cannot hold them in the world. Integers are
-written as floats if that is exact, because some readers assume that every property is a float.
+logarithms, ``rot_0..3`` as wxyz. With degree 3, padded with zeros, these are the 62 columns, 248
+bytes a vertex, that some viewers demand exactly. The full form adds columns of this project:
+``f_sem_*`` for features, and ``source`` and ``label``. The comment ``origin X Y Z`` is the position
+in the world to which the means are relative, where float32 cannot hold them in the world. Integers
+are written as floats if that is exact, because some readers assume that every property is a float.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import re
 import warnings
 from collections.abc import Callable, Sequence
@@ -58,7 +60,9 @@ _ANTIALIASED = re.compile(
 _NUMBER = r"(-?\d+\.?\d*(?:e[-+]?\d+)?)"
 
 
-def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
+def save_ply(
+    gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None, full: bool = False
+) -> None:
     """Write Gaussians atomically as a binary little-endian ``.ply``.
 
     Args:
@@ -67,7 +71,10 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
             Positions are relative to their origin, which is a comment of the header unless it is
             zero: ``origin X Y Z``. Other programs show them there, and so near zero.
         path: An existing file is replaced.
-        labels: int [N], optional. Object of each Gaussian, 0 for none; written as ``label``.
+        labels: int [N], optional. Object of each Gaussian, 0 for none; written if ``full``.
+        full: Write the harmonics at their own degree, and then the features as ``f_sem_*``, the
+            source pixel as ``source`` and ``labels`` as ``label``; by default the 62 columns of
+            3D Gaussian splatting and no others.
 
     Raises:
         InputError: If a number is NaN, infinite or out of range, the degree is above 3, ``labels``
@@ -76,7 +83,9 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
     check_writable(gaussians, "a .ply")
     arrays, n = gaussians.to_arrays(), len(gaussians)
-    sh, features = arrays["sh"], arrays.get("features", np.empty((n, 0)))
+    sh = arrays["sh"]
+    if not full:
+        sh = np.pad(sh, ((0, 0), (0, 16 - sh.shape[1]), (0, 0)))
     rest = sh.shape[1] - 1
     with np.errstate(divide="ignore"):  # log of 0; MIN_LOGIT is written instead
         logits = logit(arrays["opacities"].astype(np.float64)).clip(MIN_LOGIT, MAX_LOGIT)
@@ -89,15 +98,18 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
         (["opacity"], logits[:, None]),
         (_SCALES, logs),
         (_ROTATIONS, arrays["quats"]),
-        ([f"f_sem_{i}" for i in range(features.shape[1])], features),
     ]
     columns = {
         name: column
         for names, values in groups
         for name, column in zip(names, values.T, strict=True)
     }
-    integers = {"source": arrays["source"]}
-    if labels is not None:
+    integers = {}
+    if full:
+        features = arrays.get("features", np.empty((n, 0)))
+        columns |= {f"f_sem_{i}": column for i, column in enumerate(features.T)}
+        integers["source"] = arrays["source"]
+    if full and labels is not None:
         integers["label"] = check_labels(labels, n)
     kinds = dict.fromkeys(columns, "<f4")
     for name, values in integers.items():
@@ -118,9 +130,9 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     It may be ASCII or binary of either byte order, with columns of any numeric type in any order.
     Doubles that float32 cannot hold as positions get a local origin. Missing ``f_rest_*`` mean
     view-independent colours; without an integer ``source`` the Gaussians are numbered from 0.
-    Rotations are normalised, normals are dropped, and infinite logits give opacities 0 and 1.
-    Opacities that all are from 0 to 1, as MVSplat and pixelSplat write them, are no logits, and
-    a warning says so.
+    Rotations are normalised, normals and degrees of only zeros are dropped, and infinite logits
+    give opacities 0 and 1. Opacities that all are from 0 to 1, as MVSplat and pixelSplat write
+    them, are no logits, and a warning says so.
 
     Returns:
         gaussians: Gaussians. In float32. :func:`save_ply` rounds logits and logarithms: opacities
@@ -185,8 +197,15 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: vertex {int(np.argmin(lengths))} has the rotation (0, 0, 0, 0), which is "
             "none; remove it, or write the file again"
         )
-    sh = np.empty((n, 1 + len(rest) // 3, 3), np.float32)
-    sh[:, 0], sh[:, 1:] = read(_DC), read(rest).reshape(n, 3, len(rest) // 3).mT
+    higher = read(rest).reshape(n, 3, len(rest) // 3).mT
+    # A degree that is only padding costs time in every rendering.
+    while higher.shape[1]:
+        lower = math.isqrt(higher.shape[1]) ** 2 - 1
+        if higher[:, lower:].any():
+            break
+        higher = higher[:, :lower]
+    sh = np.empty((n, 1 + higher.shape[1], 3), np.float32)
+    sh[:, 0], sh[:, 1:] = read(_DC), higher
     source = _whole(table["source"]) if "source" in names else None
     arrays = {
         "means": read(_MEANS),

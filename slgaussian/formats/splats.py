@@ -22,6 +22,8 @@ READERS = {
 WRITERS = {
     ".ply": "slgaussian.formats.ply:save_ply",
     ".spz": "slgaussian.formats.spz:save_spz",
+    ".sog": "slgaussian.formats.sog:save_sog",
+    ".glb": "slgaussian.formats.glb:save_glb",
     ".rrd": "slgaussian.formats.rrd:save_rrd",
     ".usda": "slgaussian.formats.usd:save_usd",
     ".usdc": "slgaussian.formats.usd:save_usd",
@@ -44,14 +46,26 @@ def save_gaussians(
     path: str | Path,
     labels: np.ndarray | None = None,
     cameras: Mapping[str, Camera] | None = None,
+    full: bool = False,
+    names: Mapping[int, str] | None = None,
 ) -> None:
     """Write Gaussians atomically, with their objects and cameras where the format has a place.
 
+    Args:
+        labels: int [N], optional. Object of each Gaussian, 0 for none.
+        full: Write the columns of this project too, which only a ``.ply`` holds.
+        names: {label: str}, optional. Names of the objects, which only a ``.glb`` holds.
+
     Raises:
-        InputError: If the suffix names no format, and as the writer of the suffix.
+        InputError: If the suffix names no format, or none that ``full`` is for, and as the writer
+            of the suffix.
     """
-    options = {"cameras": cameras} if Path(path).suffix.lower() in WITH_CAMERAS else {}
-    _function(path, WRITERS)(gaussians, path, labels, **options)
+    write, suffix = _function(path, WRITERS), Path(path).suffix.lower()
+    if full and suffix != ".ply":
+        raise InputError(f"{path}: full is for .ply files; leave it out")
+    options: dict[str, Any] = {".ply": {"full": full}, ".glb": {"names": names}}
+    options |= {each: {"cameras": cameras} for each in WITH_CAMERAS}
+    write(gaussians, path, labels, **options.get(suffix, {}))
 
 
 def _function(path: str | Path, table: dict[str, str]) -> Any:

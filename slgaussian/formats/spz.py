@@ -213,12 +213,7 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     The index of the largest component (2 bits), then sign and 9-bit magnitude of each other
     component in units of 1 / (511 sqrt 2). The rotation error is below 0.28 degrees.
     """
-    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    largest = np.abs(unit).argmax(1)
-    rows = np.arange(len(unit))
-    # A quaternion and its negative are the same rotation; the largest component is made positive.
-    unit = unit * np.where(unit[rows, largest] < 0, -1, 1)[:, None]
-    smaller = unit[rows[:, None], _STORED_COMPONENTS[largest]]
+    largest, smaller = drop_largest(quats)
     sizes = np.minimum(np.rint(np.abs(smaller) * _QUATERNION_SCALE), 511).astype(np.uint32)
     codes = sizes | ((smaller < 0).astype(np.uint32) << np.uint32(9))
     packed = largest.astype(np.uint32)
@@ -247,6 +242,16 @@ def unpack_quats(packed: np.ndarray) -> np.ndarray:
     quats[rows[:, None], _STORED_COMPONENTS[largest]] = smaller
     quats[rows, largest] = np.sqrt(np.maximum(0, 1 - (smaller**2).sum(1)))
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+
+
+def drop_largest(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the index of the largest component of [N, 4], and the others at unit length [N, 3]."""
+    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    largest = np.abs(unit).argmax(1)
+    rows = np.arange(len(unit))
+    # A quaternion and its negative are the same rotation; the largest component is made positive.
+    unit = unit * np.where(unit[rows, largest] < 0, -1, 1)[:, None]
+    return largest, unit[rows[:, None], _STORED_COMPONENTS[largest]]
 
 
 def _bytes(values: np.ndarray) -> bytes:

@@ -155,8 +155,10 @@ def test_a_segmentation_is_a_picture_an_id_map_and_a_table(walls, tmp_path, ask,
 def test_render_and_export_write_their_files(walls, tmp_path, slg):
     words = ["--view", "1", "--depth", tmp_path / "depth.npy", "--ids", tmp_path / "ids.png"]
     assert slg("render", walls, "-o", tmp_path / "seen.png", *words)[0] == 0
-    assert slg("export", walls, "-o", tmp_path / "scene.ply")[0] == 0
-    assert len(list(tmp_path.iterdir())) == 4
+    assert slg("export", walls, "-o", tmp_path / "scene.ply", "--full")[0] == 0
+    assert slg("export", walls, "-o", tmp_path / "plain.ply")[0] == 0
+    assert slg("export", walls, "-o", tmp_path / "scene.glb")[0] == 0
+    assert len(list(tmp_path.iterdir())) == 6
     field = SemanticField.load(walls)
     view = field.render(field.cameras[SECOND])
     assert np.array_equal(pixels(tmp_path / "seen.png"), view.rgb)
@@ -167,6 +169,11 @@ def test_render_and_export_write_their_files(walls, tmp_path, slg):
     assert torch.equal(output.source, field.gaussians.source)
     is_red = (np.arange(32 * 48) % 48) < 24
     assert extra["label"].tolist() == np.where(is_red, 1, 2).tolist()
+    plain, extra = load_ply(tmp_path / "plain.ply")
+    assert torch.equal(plain.means, output.means) and plain.features is None and extra == {}
+    data = (tmp_path / "scene.glb").read_bytes()
+    content = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    assert content["nodes"][0]["extras"]["objects"] == {"1": "red", "2": "blue"}
 
 
 def test_codes_are_drawn_as_the_papers_feature_maps(walls, tmp_path, slg):

@@ -54,6 +54,7 @@ def place(tmp_path_factory, walls):
         ("export field -o folder.ply", "folder.ply: cannot be written"),
         ("export field -o scene.splat", "scene.splat: found '.splat', expected the name of the"),
         ("export field -o a.spz --text red", "--text is for pages"),
+        ("export field -o a.spz --full", "a.spz: --full is for .ply files; leave it out"),
         ("export field -o a.html --set share=0.5", "only files of this encoder can be given"),
         ("export field -o a.html --text unicorn", "no word 'unicorn' is known"),
         ("objects list field -o a.txt", "expected the name of a picture to end in .png"),

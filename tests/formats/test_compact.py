@@ -1,7 +1,11 @@
 """Round trips of compact formats, within their precision."""
 
 import gzip
+import io
+import json
 import struct
+import zipfile
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -10,10 +14,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from slgaussian.errors import InputError
 from slgaussian.formats.axes import turn_axes
 from slgaussian.formats.ply import load_ply
+from slgaussian.formats.sog import build_palette, quantise, save_sog
+from slgaussian.formats.splats import WRITERS, save_gaussians
 from slgaussian.formats.spz import load_spz, pack_quats, save_spz, unpack_quats
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.rasterize.harmonics import compute_colours
@@ -171,11 +178,80 @@ def test_load_spz_refuses_what_it_does_not_understand_in_one_sentence(tmp_path, 
     assert str(error.value).startswith(f"{path}: ") and "\n" not in str(error.value)
 
 
-def test_save_spz_writes_nothing_for_invalid_gaussians(tmp_path):
-    gaussians = make_gaussians(5)
-    gaussians.means[2, 1] = torch.nan
-    with pytest.raises(InputError, match="NaN"):
-        save_spz(gaussians, tmp_path / "a.bin")
-    with pytest.raises(InputError, match="cannot be written"):
-        save_spz(make_gaussians(5), tmp_path / "nowhere" / "a.bin")
+FAR = {"means": np.array(8 * [[1e9, 0, 0]] + 2 * [(1, 2, 3)], np.float32)}
+INVALID = [
+    *((suffix, {"means": np.full((10, 3), np.nan, np.float32)}, "NaN") for suffix in WRITERS),
+    *(
+        (suffix, {"sh": np.zeros((10, 25, 3), np.float32)}, "found 25 coefficients a colour")
+        for suffix in WRITERS
+    ),
+    (".spz", FAR, "found 1e[+]09 scene units from the origin"),
+    (".sog", FAR, "found 1e[+]09 scene units from the origin"),
+]
+
+
+@pytest.mark.parametrize(("suffix", "given", "sentence"), INVALID)
+def test_save_gaussians_writes_nothing_for_invalid_gaussians(tmp_path, suffix, given, sentence):
+    with pytest.raises(InputError, match=sentence):
+        save_gaussians(make_gaussians(10).with_arrays(**given), tmp_path / f"a{suffix}")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_save_gaussians_writes_same_bytes_or_nothing(tmp_path, suffix):
+    gaussians = make_gaussians(20, degree=2)
+    with pytest.raises(InputError, match="cannot be written"):
+        save_gaussians(gaussians, tmp_path / "nowhere" / f"a{suffix}")
+    for name in "ab":
+        save_gaussians(gaussians, tmp_path / f"{name}{suffix}", np.arange(20))
+    assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+    if suffix in (".sog", ".glb"):
+        with pytest.raises(InputError, match="found none"):
+            save_gaussians(make_gaussians(0), tmp_path / f"c{suffix}")
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_sog_keeps_the_colour_of_transparent_gaussians(tmp_path):
+    gaussians = make_gaussians(30)
+    gaussians.opacities[:] = 0
+    save_sog(gaussians, tmp_path / "a.sog")
+    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
+        pixels = np.array(Image.open(io.BytesIO(archive.read("sh0.webp"))))
+        book = np.array(json.loads(archive.read("meta.json"))["sh0"]["codebook"])
+    stored = book[pixels.reshape(-1, 4)[:30, :3]]
+    assert np.abs(stored - gaussians.sh[:, 0].numpy()).max() < 0.02
+
+
+def test_quantise_chooses_the_nearest_of_good_numbers():
+    values = np.random.default_rng(0).laplace(size=(2000, 3))
+    index, book = quantise(values)
+    steps = np.abs(values[..., None] - np.array(book))
+    np.testing.assert_allclose(
+        np.take_along_axis(steps, index[..., None], -1)[..., 0], steps.min(-1)
+    )
+    even = np.linspace(values.min(), values.max(), 256)
+    error = np.abs(values[..., None] - even).min(-1)
+    assert (steps.min(-1) ** 2).mean() < 0.5 * (error**2).mean()
+
+
+def test_build_palette_halves_groups_as_the_recursive_reference():
+    rows = np.random.default_rng(0).normal(size=(1003, 9)).astype(np.float32) * np.arange(1, 10)
+    rows = rows.astype(np.float32)
+
+    def halve(members: np.ndarray, number: int, level: int) -> Iterator[np.ndarray]:
+        if level == 5:
+            yield members
+            return
+        values = rows[members].astype(np.float64)
+        members = members[np.argsort(values[:, values.var(0).argmax()], kind="stable")]
+        starts = np.arange(2 ** (level + 1) + 1) * len(rows) // 2 ** (level + 1)
+        cut = starts[2 * number + 1] - starts[2 * number]
+        yield from halve(members[:cut], 2 * number, level + 1)
+        yield from halve(members[cut:], 2 * number + 1, level + 1)
+
+    entries, palette = build_palette(rows, 5)
+    for number, members in enumerate(halve(np.arange(1003), 0, 0)):
+        np.testing.assert_array_equal(np.flatnonzero(entries == number), np.sort(members))
+        np.testing.assert_allclose(palette[number], rows[members].mean(0), atol=1e-5)
+    entries, palette = build_palette(rows[:32], 5)
+    np.testing.assert_array_equal(palette[entries], rows[:32])

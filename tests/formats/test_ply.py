@@ -50,7 +50,7 @@ def test_gaussians_round_trip(tmp_path, count, width):
     features = torch.rand(50, width) if width else None
     original = make_gaussians(count=count, features=features)
     labels = np.arange(50) % 7
-    save_ply(original, tmp_path / "a.ply", labels)
+    save_ply(original, tmp_path / "a.ply", labels, full=True)
     restored, extra = load_ply(tmp_path / "a.ply")
     for name in ("means", "sh", "source", *(["features"] if width else [])):
         assert torch.equal(getattr(restored, name), getattr(original, name)), name
@@ -81,29 +81,39 @@ def test_ply_round_trip_keeps_extreme_opacities_and_scales(tmp_path):
         assert (values / ends - 1).abs()[1:].max() < 5e-6  # EPS of a logarithm of 69
 
 
-def test_save_ply_writes_standard_properties_in_order(tmp_path):
-    original = make_gaussians(count=4)
-    save_ply(original, tmp_path / "a.ply")
+@pytest.mark.parametrize(("count", "full"), [(1, False), (4, False), (16, False), (4, True)])
+def test_save_ply_writes_standard_properties_in_order(tmp_path, count, full):
+    original = make_gaussians(count=count, features=torch.rand(50, 2))
+    save_ply(original, tmp_path / "a.ply", np.arange(50), full)
     file = PlyData.read(str(tmp_path / "a.ply"))
-    vertex = file["vertex"]
+    vertex, rest = file["vertex"], 3 * count - 3 if full else 45
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
-    names += [f"f_rest_{i}" for i in range(9)]
+    names += [f"f_rest_{i}" for i in range(rest)]
     names += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
-    assert [p.name for p in vertex.properties] == [*names, "source"]
+    own = ["f_sem_0", "f_sem_1", "source", "label"] if full else []
+    assert [p.name for p in vertex.properties] == names + own
     assert (file.byte_order, file.text) == ("<", False)
     assert {p.val_dtype for p in vertex.properties} == {"f4"}
-    np.testing.assert_array_equal(vertex["f_rest_2"], original.sh[:, 3, 0])  # all of red first
-    np.testing.assert_array_equal(vertex["f_rest_3"], original.sh[:, 1, 1])
-    np.testing.assert_array_equal(vertex["f_rest_7"], original.sh[:, 2, 2])
+    header, _, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    assert b"comment" not in header and len(body) == 50 * 4 * len(names + own)
+    assert full or len(body) == 50 * 248
+    for channel in range(3):  # all of red first
+        for term in range(1, rest // 3 + 1):
+            stored = vertex[f"f_rest_{channel * rest // 3 + term - 1}"]
+            expected = original.sh[:, term, channel] if term < count else torch.zeros(50)
+            np.testing.assert_array_equal(stored, expected)
     np.testing.assert_allclose(np.exp(vertex["scale_1"]), original.scales[:, 1], rtol=1e-5)
     opacity = 1 / (1 + np.exp(-vertex["opacity"].astype(np.float64)))
     np.testing.assert_allclose(opacity, original.opacities, atol=1e-7)
     np.testing.assert_array_equal(vertex["rot_0"], original.quats[:, 0])  # w comes first
+    restored, _ = load_ply(tmp_path / "a.ply")
+    assert torch.equal(restored.sh, original.sh)  # without the padding
 
 
 def test_save_ply_writes_integers_that_float32_cannot_hold(tmp_path):
     source = torch.tensor([2**24, 2**24 + 1, 2**31 - 1], dtype=torch.int32)
-    save_ply(make_gaussians(3, source=source), tmp_path / "a.ply", np.array([2**24, 0, -1]))
+    labels = np.array([2**24, 0, -1])
+    save_ply(make_gaussians(3, source=source), tmp_path / "a.ply", labels, full=True)
     vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
     assert [vertex[name].dtype.kind for name in ("source", "label")] == ["i", "f"]
     restored, extra = load_ply(tmp_path / "a.ply")
@@ -153,9 +163,9 @@ def test_load_ply_returns_unknown_properties_in_their_type(tmp_path):
 
 
 def test_ply_round_trip_without_gaussians(tmp_path):
-    save_ply(make_gaussians(0, count=4), tmp_path / "a.ply", np.zeros(0, np.int32))
+    save_ply(make_gaussians(0, count=4), tmp_path / "a.ply", np.zeros(0, np.int32), full=True)
     restored, extra = load_ply(tmp_path / "a.ply")
-    assert (len(restored), tuple(restored.sh.shape)) == (0, (0, 4, 3))
+    assert (len(restored), tuple(restored.sh.shape)) == (0, (0, 1, 3))
     assert extra["label"].shape == (0,)
 
 
@@ -302,7 +312,7 @@ def test_failed_save_ply_keeps_the_old_file(tmp_path, given, labels, sentence):
     save_ply(make_gaussians(3), tmp_path / "a.ply")
     before = (tmp_path / "a.ply").read_bytes()
     with pytest.raises(InputError, match=sentence):
-        save_ply(make_gaussians(**given), tmp_path / "a.ply", labels)
+        save_ply(make_gaussians(**given), tmp_path / "a.ply", labels, full=True)
     with pytest.raises(InputError, match="cannot be written"):
         save_ply(make_gaussians(3), tmp_path / "nowhere" / "a.ply")
     assert (tmp_path / "a.ply").read_bytes() == before
