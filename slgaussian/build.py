@@ -32,14 +32,16 @@ from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.masks import MaskProposer, MaskTracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.predict import CountingPredictor, Depths, GaussianPredictor
+from slgaussian.predict import CountingPredictor, Depths, GaussianPredictor, SplatReader
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
+from slgaussian.predict.splat_views import choose_views
 from slgaussian.predict.view_graph import verify
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Camera, Sample, Scene, View, fit_size, opaque_pixels
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.lesson import Lesson
+from slgaussian.semantic.votes import vote
 
 
 class Predicted(NamedTuple):
@@ -112,6 +114,8 @@ def label_photographs(
     predictor, proposer, tracker = (
         component.load() for component in (method.predictor, method.proposer, method.tracker)
     )
+    if isinstance(predictor, SplatReader):
+        sample = choose_views(sample, predictor.read(sample.scene))
     sample, left_out = select_usable(sample)
     for name, reason in left_out.items():
         warnings.warn(f"{name} is left out: {reason}", stacklevel=3)
@@ -220,6 +224,10 @@ def predict(
     """
     sample = replace(sample, matches=match_views(sample))
     checks, depths = check_cameras(sample, trust_cameras), None
+    if isinstance(predictor, SplatReader):
+        gaussians = predictor.read(sample.scene)
+        geometry = SceneGeometry.of(sample.context, gaussians)
+        return Predicted(gaussians, geometry, measure(geometry, checks)[0], None)
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()
     if isinstance(predictor, CountingPredictor):
@@ -330,9 +338,12 @@ def lift_field(
     its Gaussians are merged: code that needs one Gaussian per pixel must use the unmerged input.
     """
     cameras = {view.name: _with_confidence(view.camera, quality) for view in sample.context}
-    lifted = lifting(gaussians, label_maps, bank)
+    if gaussians.pixelwise:
+        lifted = lifting(gaussians, label_maps, bank)
+    else:
+        lifted = vote(gaussians, label_maps, bank, [view.camera for view in sample.context])
     change = Change()
-    if method.keep == "needed":
+    if method.keep == "needed" and gaussians.pixelwise:
         merged = merge(lifted, list(cameras.values()))
         lifted, change = merged.gaussians, merged.change
     settings = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
@@ -353,6 +364,9 @@ def lift_field(
     }
     if sample.estimation:
         settings["cameras"] = record_estimation(sample, quality)
+    if not gaussians.pixelwise:
+        origin = f"renderings {sample.rendered}" if sample.rendered else "photographs"
+        settings["views"] = {"of": origin, "used": [view.name for view in sample.context]}
     return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
 
 

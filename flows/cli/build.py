@@ -51,8 +51,13 @@ def demo(
 @options.add_options("preset", "size", *options.COMPONENTS, "encoder")
 def field(
     ctx: typer.Context,
-    photos: options.Photos,
+    photos: Annotated[
+        list[str], typer.Argument(metavar="PHOTO|SPLAT", help="Photographs, or a .ply or .spz.")
+    ],
     cameras: options.Cameras = None,
+    photographs: Annotated[
+        list[str] | None, typer.Option(help="Photographs of a splat; may be repeated.")
+    ] = None,
     keyframes: Annotated[
         int | None, typer.Option(metavar="N", min=2, help="Use N sharp photographs of a sequence.")
     ] = None,
@@ -67,18 +72,23 @@ def field(
         bool, typer.Option("--verbose", "-v", help="Print all warnings, and statistics.")
     ] = False,
 ) -> None:
-    """Build a field from two or more photographs.
+    """Build a field from two or more photographs, or from a splat that exists.
 
     A field is a folder with the Gaussians of the scene and a memory bank, by which texts find its
     objects. `query`, `segment`, `render` and `export` open it. Estimated cameras have no metric
     scale: the distance of the first two is 1.
 
+    A splat, a .ply or .spz of any program, stays as it is. Its cameras are needed for photographs;
+    without photographs, views of the splat are rendered at the cameras, or along a path around it.
+
     \b
     slgaussian field a.jpg b.jpg -o field/
+    slgaussian field scene.ply --photographs images/ --cameras sparse/0 -o field/
     slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
     slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/
     """
     from flows.cli.photographs import begin_work, load_photographs
+    from flows.cli.splats import choose_splat
     from slgaussian import precompile
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality, camera_doubt
@@ -89,7 +99,8 @@ def field(
         describe_photographs,
     )
 
-    settings = make_settings(options.settings_from(ctx), "field")
+    photos, tables = choose_splat(photos, photographs or [], options.settings_from(ctx))
+    settings = make_settings(tables, "field")
     check_target(out)  # before the work
     start = time.perf_counter()
     sample, places = load_photographs(photos, cameras, settings, keyframes, verbose)

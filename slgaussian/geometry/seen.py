@@ -14,6 +14,7 @@ from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.geometry.boundaries import boundary_map, texture_codes
 from slgaussian.geometry.room import Room, Surroundings, find_room
 from slgaussian.io import short_repr
+from slgaussian.rasterize.picture import picture
 from slgaussian.scene import Camera, View
 
 DEPTH_TOLERANCE = 0.02
@@ -102,10 +103,16 @@ class SceneGeometry:
         """Compute the geometry of the views from which Gaussians were predicted.
 
         Depth is that of the Gaussians in the given cameras, because a predictor may have refined
-        surfaces and cameras after matching. The views of the result are in the coordinates of the
-        Gaussians' means, in which float32 holds positions.
+        surfaces and cameras after matching; that of Gaussians of no pixel is rendered. The views of
+        the result are in the coordinates of the Gaussians' means, in which float32 holds positions.
         """
-        depths = source_depths(gaussians, [view.camera for view in views])
+        cameras = [view.camera for view in views]
+        if gaussians.pixelwise:
+            depths = source_depths(gaussians, cameras)
+        else:
+            nothing = np.zeros((len(gaussians), 1), np.float32)
+            drawn = (picture(gaussians, nothing, camera, "3dgs", True) for camera in cameras)
+            depths = np.stack([view.median for view in drawn])
         for view, depth in zip(views, depths, strict=True):
             if view.opaque is not None:
                 depth[~view.opaque] = 0  # Gaussians of other views project there
