@@ -19,6 +19,7 @@ from slgaussian.cameras.check import PairCheck, check_pairs, refuse
 from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.method import Method
+from slgaussian.components.registry import KINDS
 from slgaussian.copies import are_copies
 from slgaussian.datasets.re10k import Clip, encode_clip
 from slgaussian.errors import InputError, check_type
@@ -34,6 +35,7 @@ from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.predict import CountingPredictor, Depths, GaussianPredictor, SplatReader
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
+from slgaussian.predict.splat_check import check_world
 from slgaussian.predict.splat_views import choose_views
 from slgaussian.predict.view_graph import verify
 from slgaussian.rasterize import rasterize
@@ -226,8 +228,11 @@ def predict(
     checks, depths = check_cameras(sample, trust_cameras), None
     if isinstance(predictor, SplatReader):
         gaussians = predictor.read(sample.scene)
+        agreement = check_world(gaussians, sample.context, trust_cameras)
         geometry = SceneGeometry.of(sample.context, gaussians)
-        return Predicted(gaussians, geometry, measure(geometry, checks)[0], None)
+        quality, _ = measure(geometry, checks)
+        quality = replace(quality, detail=agreement.detail, psnr=agreement.psnr)
+        return Predicted(gaussians, geometry, quality, None)
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()
     if isinstance(predictor, CountingPredictor):
@@ -340,8 +345,13 @@ def lift_field(
     cameras = {view.name: _with_confidence(view.camera, quality) for view in sample.context}
     if gaussians.pixelwise:
         lifted = lifting(gaussians, label_maps, bank)
-    else:
+    elif method.lifting.name == KINDS["lifting"].default:
         lifted = vote(gaussians, label_maps, bank, [view.camera for view in sample.context])
+    else:
+        raise InputError(
+            f"lifting {method.lifting.name!r}: needs a Gaussian for each pixel, and those of a "
+            "splat that exists are of none; leave it out, and the views vote"
+        )
     change = Change()
     if method.keep == "needed" and gaussians.pixelwise:
         merged = merge(lifted, list(cameras.values()))

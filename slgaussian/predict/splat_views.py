@@ -16,9 +16,9 @@ from slgaussian.rasterize.label_weights import sum_label_weights
 from slgaussian.rasterize.picture import compute_view_colours, picture
 from slgaussian.scene import Camera, Sample, Size, View, fit_size
 
-MAX_VIEWS = 8
-"""Largest number of views that are labelled: masks and their descriptors take 2.5 processor s each.
-"""
+MIN_VIEWS, SEEN_SHARE = 5, 0.85
+"""Number of views that are labelled at least, where there are as many, and the share of what all
+views show at which there are enough: masks and descriptors take 2.5 processor s a view."""
 
 RING_VIEWS, RING_SIZE = 12, (416, 576)
 """Number of views on a path around a splat, and their height and width."""
@@ -37,30 +37,29 @@ SMALL_SIDE = 120
 """Shorter side, pixels, of the renderings by which views are chosen."""
 
 
-def choose_views(sample: Sample, gaussians: Gaussians, count: int = MAX_VIEWS) -> Sample:
-    """Choose the context views that together show most of the Gaussians, at most ``count``.
+def choose_views(sample: Sample, gaussians: Gaussians) -> Sample:
+    """Choose context views that show nearly every Gaussian as well as the best of all views does.
 
-    Greedily, by the sum over the Gaussians of the root of their blending weight in all chosen
-    views: the root prefers Gaussians that few of them show. The weight in a blurred photograph
-    counts less (:func:`slgaussian.datasets.sharpness.blur`).
+    Greedily by the sum over the Gaussians of the largest blending weight in a chosen view, until
+    there are :data:`MIN_VIEWS` and it is :data:`SEEN_SHARE` of that in all views. The weight in a
+    blurred photograph counts less (:func:`slgaussian.datasets.sharpness.blur`).
     """
-    if len(sample.context) <= count:
+    if len(sample.context) <= MIN_VIEWS:
         return sample
-    weights = []
+    weights, best = [], np.zeros(len(gaussians), np.float32)
     for view in sample.context:
         camera = _shrink(view.camera)
-        nothing = np.zeros((camera.height, camera.width), np.int32)
-        seen = sum_label_weights(gaussians, [nothing], [camera], 1).tocoo()
-        weights.append((seen.row, seen.data * (1 - blur(small(view.image)))))
-    total, chosen = np.zeros(len(gaussians)), list[int]()
-    while len(chosen) < count:
-        gains = [
-            -1.0 if v in chosen else float((np.sqrt(total[rows] + w) - np.sqrt(total[rows])).sum())
-            for v, (rows, w) in enumerate(weights)
-        ]
-        chosen.append(int(np.argmax(gains)))
+        everywhere = np.zeros((camera.height, camera.width), np.int32)
+        seen = sum_label_weights(gaussians, [everywhere], [camera], 1).tocoo()
+        rows, weight = seen.coords[0], (seen.data * (1 - blur(small(view.image)))).astype("f4")
+        weights.append((rows, weight))
+        best[rows] = np.maximum(best[rows], weight)
+    shown, chosen = np.zeros_like(best), list[int]()
+    while len(chosen) < MIN_VIEWS or shown.sum() < SEEN_SHARE * best.sum():
+        gains = [np.maximum(weight - shown[rows], 0).sum() for rows, weight in weights]
+        chosen.append(int(np.argmax([-1 if v in chosen else gain for v, gain in enumerate(gains)])))
         rows, weight = weights[chosen[-1]]
-        total[rows] += weight
+        shown[rows] = np.maximum(shown[rows], weight)
     context = tuple(sample.context[v] for v in sorted(chosen))
     return replace(sample, context=context, matches=None)
 
