@@ -1,6 +1,6 @@
 """Answers and cost of fields on splats that exist already, by the predictor ``gaussians``.
 
-    python -m benches.semantic.existing_splats [-o docs/measured] [--rooms 8] [--cost]
+    python -m benches.semantic.existing_splats [-o docs/measured] [--rooms 8]
 
 Rooms are procedural, with exact depth; two photographs of each are labelled, and all queries of its
 objects are scored in two other views. ``exact`` is a splat of the exact surfaces that six views
@@ -57,7 +57,7 @@ def score(field: SemanticField, sample: Sample) -> tuple[float, float]:
                 hit = view.query(phrase)
                 inside = hit.point is not None and bool(truth[hit.point[1], hit.point[0]])
                 scores.append((iou(hit.mask, truth), inside))
-    return tuple(np.mean(scores, 0))
+    return tuple(np.mean(scores, 0).tolist())
 
 
 def rooms(count: int) -> list[dict]:
@@ -68,8 +68,7 @@ def rooms(count: int) -> list[dict]:
         sample = scene.sample(CONTEXT, TARGETS)
         own = build_field(sample)
         splats = {"exact": exact_splat(scene, list(scene.cameras), 312, 432)}
-        bare = {k: v for k, v in own.gaussians.to_arrays().items() if k not in ("features",)}
-        splats["exported"] = Gaussians(**bare)
+        splats["exported"] = replace(own.gaussians, features=None, guessed=None)
         row = {"room": str(seed)}
         row["photographs"], row["photographs_hit"] = score(own, sample)
         for name, splat in splats.items():
@@ -94,7 +93,14 @@ def costs() -> list[dict]:
         for name, camera in scene.cameras.items():
             Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
             (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-            size = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+            size = {
+                "w": camera.width,
+                "h": camera.height,
+                "fl_x": fx,
+                "fl_y": fy,
+                "cx": cx,
+                "cy": cy,
+            }
             pose = (camera.c2w * [1, -1, -1, 1]).tolist()
             frames.append({"file_path": f"{name}.png", "transform_matrix": pose, **size})
         (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
@@ -102,7 +108,7 @@ def costs() -> list[dict]:
         for number in GAUSSIANS:
             side = (number / 6 / (3 / 4)) ** 0.5
             splat = exact_splat(scene, names[::9], round(side * 3 / 4), round(side))
-            save_ply(replace(splat), folder / f"{number}.ply")
+            save_ply(splat, folder / f"{number}.ply")
         for views, number in [(v, 500_000) for v in VIEWS] + [(20, n) for n in GAUSSIANS]:
             chosen = [names[i] for i in np.linspace(0, len(names) - 1, views).round().astype(int)]
             words = [*CLI, "field", folder / f"{number}.ply", "--cameras", folder]
@@ -118,17 +124,14 @@ def main() -> None:
     """Measure, and write the page."""
     arguments = parser(__doc__, PAGE)
     arguments.add_argument("--rooms", type=int, default=8)
-    arguments.add_argument("--cost", action="store_true", help="measure the cost too")
     options = arguments.parse_args()
     names = ("photographs", "exact", "exported")
     columns = {"room": ("room", str)}
     columns |= {name: (f"{name}: IoU", ".3f") for name in names}
     columns |= {f"{name}_hit": (f"{name}: point", ".2f") for name in names}
-    parts = [table(rooms(options.rooms), columns)]
-    if options.cost:
-        costly = {"views": ("photographs", "d"), "gaussians": ("Gaussians", ",d")}
-        costly |= {"cpu": ("processor s", ".1f"), "peak": ("peak MB", ",.0f")}
-        parts.append(table(costs(), costly))
+    costly = {"views": ("photographs", "d"), "gaussians": ("Gaussians", ",d")}
+    costly |= {"cpu": ("processor s", ".1f"), "peak": ("peak MB", ",.0f")}
+    parts = table(rooms(options.rooms), columns), table(costs(), costly)
     publish(options.out, PAGE, "python -m benches.semantic.existing_splats", *parts)
 
 

@@ -106,13 +106,7 @@ class SceneGeometry:
         surfaces and cameras after matching; that of Gaussians of no pixel is rendered. The views of
         the result are in the coordinates of the Gaussians' means, in which float32 holds positions.
         """
-        cameras = [view.camera for view in views]
-        if gaussians.pixelwise:
-            depths = source_depths(gaussians, cameras)
-        else:
-            nothing = np.zeros((len(gaussians), 1), np.float32)
-            drawn = (picture(gaussians, nothing, camera, "3dgs", True) for camera in cameras)
-            depths = np.stack([view.median for view in drawn])
+        depths = view_depths(gaussians, [view.camera for view in views])
         for view, depth in zip(views, depths, strict=True):
             if view.opaque is not None:
                 depth[~view.opaque] = 0  # Gaussians of other views project there
@@ -190,3 +184,16 @@ class SceneGeometry:
             self.room.place(view.camera, depth)
             for view, depth in zip(self.views, self.depths, strict=True)
         )
+
+
+def view_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
+    """Compute depth maps of context views, float32 [V, H, W] in scene units, 0 where unknown.
+
+    That of the pixels' Gaussians (:func:`slgaussian.gaussians.source_depths`); where they are of no
+    pixel, the rendered median depth.
+    """
+    if gaussians.pixelwise:
+        return source_depths(gaussians, cameras)
+    nothing = np.zeros((len(gaussians), 1), np.float32)
+    drawn = (picture(gaussians, nothing, camera, "3dgs", median=True) for camera in cameras)
+    return np.stack([view.median for view in drawn])

@@ -2,8 +2,8 @@
 
 The measure is the correlation of fine detail: of what remains of the brightness of both pictures,
 shrunk to :data:`SIDE` pixels, after a blur is subtracted. It ignores exposure and tint. Two scenes
-have no detail in common, while their areas of light and dark may be similar: after a fit of exposure
-a wrong scene reaches 24 dB, and a right one may have 17.
+have no detail in common, while their areas of light and dark may be similar: after a fit of
+exposure a wrong scene reaches 24 dB, and a right one may have 17.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.labels import MIN_WEIGHT
 from slgaussian.rasterize.picture import compute_view_colours, picture
+from slgaussian.rasterize.render_settings import find_settings
 from slgaussian.scene import Camera, View
 
 SIDE = 120
@@ -38,14 +39,11 @@ by the second is reported."""
 MIN_COVER = 0.05
 """Share of the pixels at which a splat must show anything."""
 
-MIN_TRIED_COVER = 0.3
-"""The same of another reading of axes and units."""
-
 EDGE = np.ones((5, 5), np.uint8)
 """Neighbourhood of a compared pixel that must show Gaussians."""
 
-SCALES = (1e-3, 1e-2, 1e2, 1e3, *(1.2**power for power in range(-14, 15) if power))
-"""Tried ratios of the units of the splat and the cameras: millimetres, and any up to a dozen."""
+SCALES = (1e-3, 1e-2, 0.1, 10, 1e2, 1e3, *(1.08**power for power in range(-20, 21) if power))
+"""Tried ratios of the units of the splat and the cameras: powers of ten, and any up to 4.7."""
 
 TRIED_VIEWS = 3
 """Number of views with which other readings are tried."""
@@ -65,13 +63,53 @@ class Agreement(NamedTuple):
     detail: float
     psnr: float
 
+    @property
+    def share(self) -> float:
+        """Return the correlation with nothing where the splat shows nothing: a floor at height 0
+        stays where it is in a mirrored world."""
+        return self.cover * self.detail
 
-def compare(gaussians: Gaussians, photographs: Sequence[tuple[Camera, np.ndarray]]) -> Agreement:
-    """Compare a splat with photographs float32 [H, W, 3], 0 to 1, and their cameras."""
+
+class Photograph(NamedTuple):
+    """A photograph to compare with.
+
+    Attributes:
+        image: float32 [H, W, 3], 0 to 1.
+        shrunk: Its size as a share of that of the file. The filter of the image formation is as
+            many pixels of the file, or small Gaussians would grow over their neighbours.
+    """
+
+    camera: Camera
+    image: np.ndarray
+    shrunk: float = 1.0
+
+    @staticmethod
+    def of(view: View) -> Photograph:
+        """Convert a view."""
+        part, width = view.visible_window, view.camera.width
+        shrunk = min(1.0, width / (part.right - part.left))
+        return Photograph(view.camera, view.image.astype(np.float32) / 255, shrunk)
+
+    def shrink(self) -> Photograph:
+        """Return it with a shorter side of at most :data:`SIDE` pixels."""
+        image = _shrink(self.image)
+        height, width = image.shape[:2]
+        shrunk = self.shrunk * width / self.camera.width
+        return Photograph(self.camera.resize(width, height), image, shrunk)
+
+    def move(self, c2w: np.ndarray) -> Photograph:
+        """Return it with another pose of the camera."""
+        return self._replace(camera=replace(self.camera, c2w=c2w))
+
+
+def compare(gaussians: Gaussians, photographs: Sequence[Photograph]) -> Agreement:
+    """Compare a splat with photographs."""
     shown, pixels, squares = 0, 0, 0.0
     products = np.zeros(3)  # of the details of both: p q, p p, q q
-    for camera, image in photographs:
-        drawn = picture(gaussians, compute_view_colours(gaussians, camera), camera, "3dgs")
+    for camera, image, shrunk in photographs:
+        settings = find_settings("3dgs", gaussians.reach(camera))
+        settings = replace(settings, low_pass=settings.low_pass * shrunk**2)
+        drawn = picture(gaussians, compute_view_colours(gaussians, camera), camera, settings)
         covered = drawn.alpha >= MIN_WEIGHT
         shown, pixels = shown + int(covered.sum()), pixels + covered.size
         rgb = drawn.values / np.maximum(drawn.alpha, np.float32(MIN_WEIGHT))[..., None]
@@ -81,7 +119,7 @@ def compare(gaussians: Gaussians, photographs: Sequence[tuple[Camera, np.ndarray
                 gain = max(0.0, float(np.mean((x - x.mean()) * y)) / max(float(x.var()), 1e-12))
                 squares += float(np.square(y - y.mean() - gain * (x - x.mean())).sum())
         covered, rgb, image = (_shrink(each) for each in (covered.astype(np.float32), rgb, image))
-        inner = cv2.erode((covered == 1).astype(np.uint8), EDGE) > 0
+        inner = cv2.erode((covered > 0.99).astype(np.uint8), EDGE) > 0
         p, q = (_detail(each)[inner] for each in (rgb, image))
         products += p @ q, p @ p, q @ q
     detail = float(products[0] / max(np.sqrt(products[1] * products[2]), 1e-12))
@@ -102,19 +140,13 @@ def check_world(gaussians: Gaussians, views: Sequence[View], trusted: bool = Fal
         InputError: If they do not show the same, unless the cameras are ``trusted``; the message
             names the axes or the unit that would explain it, if one does.
     """
-    photographs = [(view.camera, view.image.astype(np.float32) / 255) for view in views]
+    photographs = [Photograph.of(view) for view in views]
     found = compare(gaussians, photographs)
     if trusted or (found.cover >= MIN_COVER and found.detail >= SURE_DETAIL):
         return found
-    some = [
-        (camera.resize(small.shape[1], small.shape[0]), small)
-        for camera, image in photographs[:: -(-len(photographs) // TRIED_VIEWS)]
-        for small in [_shrink(image)]
-    ]
-    before = compare(gaussians, some).detail
-    tried = [(compare(*reading), name) for name, *reading in _readings(gaussians, some)]
-    # Where next to nothing is compared, anything may correlate.
-    best, name = max((each.detail * (each.cover >= MIN_TRIED_COVER), name) for each, name in tried)
+    some = [each.shrink() for each in photographs[:: -(-len(photographs) // TRIED_VIEWS)]]
+    before = compare(gaussians, some).share
+    best, name = max((compare(*tried).share, name) for name, *tried in _readings(gaussians, some))
     explained = best >= MIN_DETAIL and best >= before + MIN_GAIN
     if found.cover >= MIN_COVER and found.detail >= MIN_DETAIL and not explained:
         return found
@@ -139,32 +171,30 @@ def _shrink(image: np.ndarray) -> np.ndarray:
 
 
 def _readings(
-    gaussians: Gaussians, photographs: Sequence[tuple[Camera, np.ndarray]]
-) -> Iterator[tuple[str, Gaussians, list[tuple[Camera, np.ndarray]]]]:
+    gaussians: Gaussians, photographs: Sequence[Photograph]
+) -> Iterator[tuple[str, Gaussians, list[Photograph]]]:
     """Yield other readings of axes and units: a description, the splat, and the photographs."""
-
-    def move(change: np.ndarray, own: bool = False) -> list[tuple[Camera, np.ndarray]]:
-        return [
-            (replace(camera, c2w=camera.c2w @ change if own else change @ camera.c2w), image)
-            for camera, image in photographs
-        ]
-
     flip, quarter = np.diag([1.0, -1, -1, 1]), np.eye(4)[[0, 2, 1, 3]] * [[1], [1], [-1], [1]]
-    yield "with y and z of each camera's own axes reversed (OpenGL)", gaussians, move(flip, True)
-    yield "with y and z of the cameras' world reversed", gaussians, move(flip)
-    yield "with the cameras' world turned from z up to y up", gaussians, move(quarter)
-    yield "with the cameras' world turned from y up to z up", gaussians, move(quarter.T)
+    own = "with y and z of each camera's own axes reversed (OpenGL)"
+    yield own, gaussians, [each.move(each.camera.c2w @ flip) for each in photographs]
+    for turn, name in (
+        (flip, "with y and z of the cameras' world reversed"),
+        (quarter, "with the cameras' world turned from z up to y up"),
+        (quarter.T, "with the cameras' world turned from y up to z up"),
+    ):
+        yield name, gaussians, [each.move(turn @ each.camera.c2w) for each in photographs]
+    arrays = gaussians.to_arrays()
     for axis, letter in enumerate("xyz"):
-        arrays = gaussians.to_arrays()
         means, quats = arrays["means"].copy(), arrays["quats"].copy()
         means[:, axis] *= -1
         quats[:, [1 + other for other in range(3) if other != axis]] *= -1
         mirrored = gaussians.with_arrays(means=means, quats=quats)
-        yield f"with {letter} of the splat reversed, so that it is mirrored,", mirrored, move(np.eye(4))
+        yield (
+            f"with {letter} of the splat reversed, so that it is mirrored,",
+            mirrored,
+            [*photographs],
+        )
     for scale in SCALES:
-        moved = []
-        for camera, image in photographs:
-            c2w = camera.c2w.copy()
-            c2w[:3, 3] *= scale
-            moved.append((replace(camera, c2w=c2w), image))
-        yield f"with the positions of the cameras times {scale:.3g}", gaussians, moved
+        units = np.array([[1, 1, 1, scale]] * 3 + [[1, 1, 1, 1]])
+        name = f"with the positions of the cameras times {scale:.3g}"
+        yield name, gaussians, [each.move(each.camera.c2w * units) for each in photographs]

@@ -1,4 +1,4 @@
-"""Views of a splat: the choice of those that are labelled, and renderings in place of photographs."""
+"""Views of a splat: the choice of those that are labelled, and renderings without photographs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slgaussian.rasterize.label_weights import sum_label_weights
 from slgaussian.rasterize.picture import compute_view_colours, picture
 from slgaussian.scene import Camera, Sample, Size, View, fit_size
 
-MIN_VIEWS, SEEN_SHARE = 5, 0.85
+MIN_VIEWS, SEEN_SHARE = 5, 0.75
 """Number of views that are labelled at least, where there are as many, and the share of what all
 views show at which there are enough: masks and descriptors take 2.5 processor s a view."""
 
@@ -24,8 +24,8 @@ RING_VIEWS, RING_SIZE = 12, (416, 576)
 """Number of views on a path around a splat, and their height and width."""
 
 CORE_SHARE = 0.9
-"""Share of the Gaussians nearest to the middle of a splat that count for its extent: the rest may be
-far background."""
+"""Share of the Gaussians nearest to the middle of a splat that count for its extent: the rest may
+be far background."""
 
 INNER_RADIUS = 0.5
 """Radius of a ring within a splat, as a share of the median distance of its Gaussians."""

@@ -44,15 +44,15 @@ def picture(
     gaussians: Gaussians,
     values: np.ndarray,
     camera: Camera,
-    preset: str = "fast",
+    settings: Settings | str = "fast",
     median: bool = False,
 ) -> Picture:
-    """Render Gaussians with ``values`` float32 [N, C] and the settings of a preset.
+    """Render Gaussians with ``values`` float32 [N, C]; the rest is as in ``rasterize``.
 
     Raises:
         InputError: If a number is invalid, naming the first Gaussian with one.
     """
-    settings, arrays = find_settings(preset, gaussians.reach(camera)), gaussians.to_arrays()
+    settings, arrays = find_settings(settings, gaussians.reach(camera)), gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
     drawn, _ = draw_splats(
         gaussians, geometry, np.ascontiguousarray(values, np.float32),

@@ -22,22 +22,37 @@ if TYPE_CHECKING:
 def vote(
     gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank, cameras: Sequence[Camera]
 ) -> Gaussians:
-    """Give each Gaussian the object in whose pixels most of its blending weight is.
-
-    Args:
-        cameras: Of the views of ``label_maps``, in their order.
+    """Give each Gaussian the object that :func:`label_gaussians` finds.
 
     Returns:
-        The Gaussians with features as in :class:`slgaussian.semantic.Lifting`. The weight is the
-        share of the winner in the labelled pixels; 0 where no view shows the Gaussian.
+        The Gaussians with features as in :class:`slgaussian.semantic.Lifting`, the weight being the
+        winner's share.
     """
-    ids = np.concatenate([[0], bank.ids])
-    rows = np.searchsorted(ids, label_maps.labels)
-    rows[ids[np.minimum(rows, len(ids) - 1)] != label_maps.labels] = 0
-    weights = sum_label_weights(gaussians, rows.astype(np.int32), cameras, len(ids))
-    winners, margins = elect(weights)
-    features = code_images(ids[winners].astype(np.int32), bank.ids, bank.codes)
-    return gaussians.with_arrays(features=features * margins[:, None])
+    labels, shares = label_gaussians(gaussians, label_maps.labels, cameras)
+    features = code_images(labels, bank.ids, bank.codes)
+    return gaussians.with_arrays(features=features * shares[:, None])
+
+
+def label_gaussians(
+    gaussians: Gaussians, labels: np.ndarray, cameras: Sequence[Camera]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the label of each Gaussian: of its pixel, or of those with most of its blending weight.
+
+    Args:
+        labels: int32 [V, H, W]. 0 is none, which only wins where there is no other.
+        cameras: Of the views of ``labels``.
+
+    Returns:
+        int32 [N] and float32 [N]: The label, and its share of the weight in labelled pixels; 0 and
+            0 where no view shows the Gaussian in a labelled pixel.
+    """
+    if gaussians.pixelwise:
+        of_pixels = labels.ravel()[gaussians.to_arrays()["source"]]
+        return of_pixels, (of_pixels > 0).astype(np.float32)
+    ids = np.unique(np.append(labels, 0))
+    rows = np.searchsorted(ids, labels).astype(np.int32)
+    winners, shares = elect(sum_label_weights(gaussians, rows, cameras, len(ids)))
+    return ids[winners].astype(np.int32), shares
 
 
 def elect(weights: sparse.csr_array) -> tuple[np.ndarray, np.ndarray]:
