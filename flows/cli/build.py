@@ -116,6 +116,10 @@ def field(
     quality = Quality(**built.settings["quality"])
     size_text = f"{len(built.gaussians):,} Gaussians, {len(built.bank)} objects"
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
+    if (views := built.settings.get("views")) is not None:
+        used = f"labelled {len(views['used'])} of {len(sample.context)} views, {views['of']}"
+        lines.append(f"{used}: {', '.join(views['used'])}")
+        lines.append(f"the splat has {quality.detail:.0%} of their detail, {quality.psnr:.1f} dB")
     if verbose:
         lines += [quality.summary(), *(f"{k}: {v}" for k, v in built.settings["account"].items())]
         steps = ", ".join(f"{step} {spent:.2f}" for step, spent in seconds.items())
