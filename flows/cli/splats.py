@@ -67,10 +67,8 @@ def render_splat(cameras: Path | None, settings: Settings) -> tuple[Sample, dict
     config = settings.configure("predictor")
     splat = Path(dict(config)["splat"])
     gaussians = config.load().read(splat.stem)
-    if cameras is None:
-        views, rendered = surround(gaussians), "along a path around the splat"
-    else:
-        views, rendered = cameras_in(cameras), "at the given cameras"
+    views = surround(gaussians) if cameras is None else cameras_in(cameras)
+    rendered = "along a path around the splat" if cameras is None else "at the given cameras"
     print(
         f"no photographs: {len(views)} views of the splat are rendered {rendered}", file=sys.stderr
     )

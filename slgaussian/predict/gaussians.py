@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,7 @@ class ExistingGaussians(ExistingGaussiansConfig):
             )
         arrays = {name: arrays[name] for name in ("means", "scales", "quats", "opacities", "sh")}
         arrays["source"] = np.full(len(gaussians), -1, np.int32)
-        return Gaussians(**arrays, origin=gaussians.origin)
+        return replace(Gaussians.from_arrays(arrays), origin=gaussians.origin)
 
     def _find(self, scene: str) -> Path:
         assert self.splat is not None  # checked by __init__

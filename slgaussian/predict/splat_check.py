@@ -146,7 +146,8 @@ def check_world(gaussians: Gaussians, views: Sequence[View], trusted: bool = Fal
         return found
     some = [each.shrink() for each in photographs[:: -(-len(photographs) // TRIED_VIEWS)]]
     before = compare(gaussians, some).share
-    best, name = max((compare(*tried).share, name) for name, *tried in _readings(gaussians, some))
+    readings = _readings(gaussians, some)
+    best, name = max((compare(splat, moved).share, name) for name, splat, moved in readings)
     explained = best >= MIN_DETAIL and best >= before + MIN_GAIN
     if found.cover >= MIN_COVER and found.detail >= MIN_DETAIL and not explained:
         return found

@@ -51,7 +51,7 @@ def label_gaussians(
         return of_pixels, (of_pixels > 0).astype(np.float32)
     ids = np.unique(np.append(labels, 0))
     rows = np.searchsorted(ids, labels).astype(np.int32)
-    winners, shares = elect(sum_label_weights(gaussians, rows, cameras, len(ids)))
+    winners, shares = elect(sum_label_weights(gaussians, [*rows], cameras, len(ids)))
     return ids[winners].astype(np.int32), shares
 
 
