@@ -72,17 +72,15 @@ def field(
         bool, typer.Option("--verbose", "-v", help="Print all warnings, and statistics.")
     ] = False,
 ) -> None:
-    """Build a field from two or more photographs, or from a splat that exists.
+    """Build a field from photographs, or from a splat.
 
     A field is a folder with the Gaussians of the scene and a memory bank, by which texts find its
     objects. `query`, `segment`, `render` and `export` open it. Estimated cameras have no metric
     scale: the distance of the first two is 1.
 
-    A splat, a .ply or .spz of any program, stays as it is. Its cameras are needed for photographs;
-    without photographs, views of the splat are rendered at the cameras, or along a path around it.
+    A splat stays as it is. Without photographs, views of it are rendered.
 
     \b
-    slgaussian field a.jpg b.jpg -o field/
     slgaussian field scene.ply --photographs images/ --cameras sparse/0 -o field/
     slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
     slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/

@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from slgaussian.components.config import ComponentConfig, File
-from slgaussian.formats.splats import READERS
 from slgaussian.io import file_digest
 from slgaussian.masks.configs import PrecomputedConfig
 
@@ -56,6 +55,8 @@ class PrecomputedGeometryConfig(PrecomputedConfig, title="precomputed"):
 
 def splat_digest(place: str | Path) -> str:
     """Compute the SHA-256 of the splat at ``place``, or of the names and splats of a folder."""
+    from slgaussian.formats.splats import READERS  # which imports OpenCV
+
     place = Path(place)
     if not place.is_dir():
         return file_digest(place)

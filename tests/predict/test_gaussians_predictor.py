@@ -64,7 +64,7 @@ def mirror(gaussians, axis):
         (lambda c2w: FLIP @ c2w, "y and z of the cameras' world reversed"),
         (lambda c2w: QUARTER @ c2w, "turned from y up to z up"),
         (lambda c2w: c2w * ([[1, 1, 1, 100]] * 3 + [[1] * 4]), "times 0.01"),
-        (lambda c2w: c2w * ([[1, 1, 1, 0.5]] * 3 + [[1] * 4]), "times 2:"),
+        (lambda c2w: c2w * ([[1, 1, 1, 0.5]] * 3 + [[1] * 4]), "times 2 it would"),
         ("mirrored", "with x of the splat reversed, so that it is mirrored"),
         ("another", "expected 35% or more: give the cameras by which it was trained"),
     ],
