@@ -113,22 +113,19 @@ class FieldView:
 def render_values(gaussians: Gaussians, camera: Camera, backend: str) -> Picture:
     """Render colours, codes and their weight: ``values`` float32 [H, W, 7], on the CPU.
 
-    ``backend`` as in :func:`slgaussian.rasterize.rasterize`. Gaussians of another program are drawn
-    as it drew them: on an optimised splat that is worth 3 dB.
+    ``backend`` as in :func:`slgaussian.rasterize.rasterize`.
     """
     from slgaussian.rasterize.picture import Picture, compute_view_colours, picture
 
-    settings = "fast" if gaussians.pixelwise else "3dgs"
     if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
         drawn = compute_view_colours(gaussians, camera), gaussians.to_arrays()["features"]
-        return picture(gaussians, np.concatenate(drawn, 1), camera, settings)
+        return picture(gaussians, np.concatenate(drawn, 1), camera)
     import torch
 
     from slgaussian.rasterize import harmonics, rasterize
 
     tensors = harmonics.compute_colours(gaussians, camera), gaussians.require_features()
-    values = torch.cat(tensors, 1)
-    return Picture.of(rasterize(gaussians, values, camera, backend=backend, settings=settings))
+    return Picture.of(rasterize(gaussians, torch.cat(tensors, 1), camera, backend=backend))
 
 
 def mean_colour(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -112,7 +112,7 @@ def compare(gaussians: Gaussians, photographs: Sequence[Photograph]) -> Agreemen
         drawn = picture(gaussians, compute_view_colours(gaussians, camera), camera, settings)
         covered = drawn.alpha >= MIN_WEIGHT
         shown, pixels = shown + int(covered.sum()), pixels + covered.size
-        rgb = drawn.values / np.maximum(drawn.alpha, np.float32(MIN_WEIGHT))[..., None]
+        rgb = drawn.values
         for channel in range(3):
             x, y = rgb[covered, channel].astype(np.float64), image[covered, channel]
             if len(x):

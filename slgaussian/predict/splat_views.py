@@ -85,8 +85,7 @@ def render_sample(
         if size != "original":
             camera = camera.resize(*fit_size(camera.height, camera.width, size)[::-1])
         drawn = picture(gaussians, compute_view_colours(gaussians, camera), camera, "3dgs")
-        mean = drawn.values / np.maximum(drawn.alpha, MIN_WEIGHT)[..., None]
-        image = (mean.clip(0, 1) * 255 + 0.5).astype(np.uint8)
+        image = (drawn.values.clip(0, 1) * 255 + 0.5).astype(np.uint8)
         views.append(View(name, camera, image, opaque=drawn.alpha >= MIN_WEIGHT))
     if not any(view.opaque is not None and view.opaque.any() for view in views):
         raise InputError(f"{scene}: none of the {len(views)} cameras shows any of its Gaussians")
