@@ -19,6 +19,7 @@ from slgaussian.cameras.check import PairCheck, check_pairs, refuse
 from slgaussian.cameras.match_graph import match_views
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.method import Method
+from slgaussian.components.registry import KINDS
 from slgaussian.copies import are_copies
 from slgaussian.datasets.re10k import Clip, encode_clip
 from slgaussian.errors import InputError, check_type
@@ -32,14 +33,17 @@ from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.masks import MaskProposer, MaskTracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
-from slgaussian.predict import CountingPredictor, Depths, GaussianPredictor
+from slgaussian.predict import CountingPredictor, Depths, GaussianPredictor, SplatReader
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
+from slgaussian.predict.splat_check import check_world
+from slgaussian.predict.splat_views import choose_views
 from slgaussian.predict.view_graph import verify
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Camera, Sample, Scene, View, fit_size, opaque_pixels
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.lesson import Lesson
+from slgaussian.semantic.votes import vote
 
 
 class Predicted(NamedTuple):
@@ -112,6 +116,8 @@ def label_photographs(
     predictor, proposer, tracker = (
         component.load() for component in (method.predictor, method.proposer, method.tracker)
     )
+    if isinstance(predictor, SplatReader):
+        sample = choose_views(sample, predictor.read(sample.scene))
     sample, left_out = select_usable(sample)
     for name, reason in left_out.items():
         warnings.warn(f"{name} is left out: {reason}", stacklevel=3)
@@ -220,6 +226,13 @@ def predict(
     """
     sample = replace(sample, matches=match_views(sample))
     checks, depths = check_cameras(sample, trust_cameras), None
+    if isinstance(predictor, SplatReader):
+        gaussians = predictor.read(sample.scene)
+        agreement = check_world(gaussians, sample.context, trust_cameras)
+        geometry = SceneGeometry.of(sample.context, gaussians)
+        quality, _ = measure(geometry, checks)
+        quality = replace(quality, detail=agreement.detail, psnr=agreement.psnr)
+        return Predicted(gaussians, geometry, quality, None)
     # No predictor, of another package either, has to know of far cameras and other units.
     local, frame = sample.localize()
     if isinstance(predictor, CountingPredictor):
@@ -330,9 +343,17 @@ def lift_field(
     its Gaussians are merged: code that needs one Gaussian per pixel must use the unmerged input.
     """
     cameras = {view.name: _with_confidence(view.camera, quality) for view in sample.context}
-    lifted = lifting(gaussians, label_maps, bank)
+    if gaussians.pixelwise:
+        lifted = lifting(gaussians, label_maps, bank)
+    elif method.lifting.name == KINDS["lifting"].default:
+        lifted = vote(gaussians, label_maps, bank, [view.camera for view in sample.context])
+    else:
+        raise InputError(
+            f"lifting {method.lifting.name!r}: needs a Gaussian for each pixel, and those of a "
+            "splat that exists are of none; leave it out, and the views vote"
+        )
     change = Change()
-    if method.keep == "needed":
+    if method.keep == "needed" and gaussians.pixelwise:
         merged = merge(lifted, list(cameras.values()))
         lifted, change = merged.gaussians, merged.change
     settings = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
@@ -353,6 +374,10 @@ def lift_field(
     }
     if sample.estimation:
         settings["cameras"] = record_estimation(sample, quality)
+    if not gaussians.pixelwise:
+        origin = f"renderings {sample.rendered}" if sample.rendered else "photographs"
+        settings["views"] = {"of": origin, "used": [view.name for view in sample.context]}
+        settings["lifting"] = "votes"
     return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
 
 

@@ -114,7 +114,9 @@ class SemanticField:
         check_type(camera, Camera, "render: expected a Camera, such as sample.context[0].camera")
         image = render_values(self.visible, camera, backend)
         ids, confidence = self._decoder(image.values[..., 3:])
-        rgb = mean_colour(image.values[..., :3], image.alpha)
+        # A splat of another program was optimised on black: a mean would be too bright by 3 dB.
+        opacity = image.alpha if self.gaussians.pixelwise else np.ones_like(image.alpha)
+        rgb = mean_colour(image.values[..., :3], opacity)
         if self.edits.removed:
             rgb = add_stripes(rgb, image.alpha)
         return FieldView(rgb, ids, confidence, image.alpha, image.depth, self, camera)

@@ -66,7 +66,7 @@ class Gaussians:
         opacities: float32 [N]. In [0, 1].
         sh: float32 [N, K, 3]. Spherical-harmonic colour, K = (degree + 1)^2.
         source: int32 [N]. Flat index ``(view * H + row) * W + column`` of the context pixel of each
-            Gaussian.
+            Gaussian; -1 for all where they are of no pixel, as those of another program.
         features: float32 [N, D] or None. Semantic features. In a field: the ID code (3-dimensional
             in the paper) times its weight, and the weight; see
             :class:`slgaussian.semantic.Lifting`.
@@ -118,6 +118,11 @@ class Gaussians:
             keep = torch.from_numpy(keep)
         chosen: Any = {name: value[keep] for name, value in self.items()}
         return replace(self, **chosen)
+
+    @property
+    def pixelwise(self) -> bool:
+        """Whether each Gaussian is of a context pixel, which ``source`` names."""
+        return not (self.to_arrays()["source"] < 0).any()
 
     def reach(self, camera: Camera) -> float:
         """Return the distance from ``camera`` of the 95th percentile of a sample of the means."""

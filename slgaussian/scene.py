@@ -341,6 +341,8 @@ class Sample:
         estimation: Estimation of the cameras, from
             :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`; empty if they were given.
         matches: Matches of the context views, if they are known.
+        rendered: Where the views of a splat were rendered, if they are no photographs: "at the
+            given cameras". Empty for photographs.
 
     Raises:
         InputError: If context views differ in size, are one picture with two poses, or all share
@@ -353,6 +355,7 @@ class Sample:
     phrases: Mapping[int, str] = field(default_factory=dict)
     estimation: Mapping[str, Any] = field(default_factory=dict)
     matches: MatchGraph | None = field(default=None, repr=False)
+    rendered: str = ""
 
     __repr__ = short_repr
 

@@ -52,8 +52,13 @@ def demo(
 @options.add_options("preset", "size", *options.COMPONENTS, "encoder")
 def field(
     ctx: typer.Context,
-    photos: options.Photos,
+    photos: Annotated[
+        list[str], typer.Argument(metavar="PHOTO|SPLAT", help="Photographs, or a .ply or .spz.")
+    ],
     cameras: options.Cameras = None,
+    photographs: Annotated[
+        list[str] | None, typer.Option(help="Photographs of a splat; may be repeated.")
+    ] = None,
     keyframes: Annotated[
         int | None, typer.Option(metavar="N", min=2, help="Use N sharp photographs of a sequence.")
     ] = None,
@@ -68,18 +73,21 @@ def field(
         bool, typer.Option("--verbose", "-v", help="Print all warnings, and statistics.")
     ] = False,
 ) -> None:
-    """Build a field from two or more photographs.
+    """Build a field from photographs, or from a splat.
 
     A field is a folder with the Gaussians of the scene and a memory bank, by which texts find its
     objects. `query`, `segment`, `render` and `export` open it. Estimated cameras have no metric
     scale: the distance of the first two is 1.
 
+    A splat stays as it is. Without photographs, views of it are rendered.
+
     \b
-    slgaussian field a.jpg b.jpg -o field/
+    slgaussian field scene.ply --photographs images/ --cameras sparse/0 -o field/
     slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
     slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/
     """
     from flows.cli.photographs import begin_work, load_photographs
+    from flows.cli.splats import choose_splat
     from slgaussian import precompile
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality, camera_doubt
@@ -90,7 +98,8 @@ def field(
         describe_photographs,
     )
 
-    settings = make_settings(options.settings_from(ctx), "field")
+    photos, tables = choose_splat(photos, photographs or [], options.settings_from(ctx))
+    settings = make_settings(tables, "field")
     check_target(out)  # before the work
     start = time.perf_counter()
     sample, places = load_photographs(photos, cameras, settings, keyframes, verbose)
@@ -106,6 +115,10 @@ def field(
     quality = Quality(**built.settings["quality"])
     size_text = f"{len(built.gaussians):,} Gaussians, {len(built.bank)} objects"
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
+    if (views := built.settings.get("views")) is not None:
+        used = f"labelled {len(views['used'])} of {len(sample.context)} views, {views['of']}"
+        lines.append(f"{used}: {', '.join(views['used'])}")
+        lines.append(f"the splat has {quality.detail:.0%} of their detail, {quality.psnr:.1f} dB")
     if verbose:
         lines += [quality.summary(), *(f"{k}: {v}" for k, v in built.settings["account"].items())]
         steps = ", ".join(f"{step} {spent:.2f}" for step, spent in seconds.items())

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from flows.cli.splats import render_splat
 from flows.config import SceneSettings, Settings
 from flows.scenes import find_data_folder
 from slgaussian.checks import natural_key, order_naturally
@@ -49,6 +50,13 @@ def load_photographs(
     Raises:
         InputError: If an argument cannot be used.
     """
+    if settings.predictor == "gaussians" and not photos:
+        return render_splat(cameras, settings)
+    if settings.predictor == "gaussians" and cameras is None:
+        raise InputError(
+            "cameras: found none for the photographs of a splat, expected those by which it was "
+            "trained, which share its world; give them, as in --cameras sparse/0"
+        )
     if cameras is None and settings.predictor == "precomputed":
         cameras = _find_cameras(dict(settings.configure("predictor"))["geometry"])
     if cameras is None:

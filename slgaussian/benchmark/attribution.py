@@ -20,7 +20,8 @@ from slgaussian.benchmark.answering import keep_understood
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.benchmark.scores import GOOD_IOU
 from slgaussian.field import SemanticField
-from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry.seen import view_depths
 from slgaussian.labels import MIN_WEIGHT
 from slgaussian.language.answer import QueryResult, ask
 from slgaussian.language.bank import MemoryBank
@@ -28,6 +29,7 @@ from slgaussian.language.objectmap import ObjectMap, central_point
 from slgaussian.masks.flatten import nearest_pixel
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample, View
+from slgaussian.semantic.votes import label_gaussians
 from slgaussian.storage.specs import load_spec
 
 REPLACEMENTS = {
@@ -79,7 +81,8 @@ def attribute_errors(
     settings = settings or EvaluationSettings()
     rules = settings.rules
     common = {"dataset": settings.dataset, "scene": sample.scene, "method": settings.method}
-    depths = source_depths(gaussians, [view.camera for view in sample.context])
+    cameras = [view.camera for view in sample.context]
+    depths = view_depths(gaussians, cameras)
     rows = []
     for target in sample.targets:
         masks = {q: mask for q, mask in truth.masks.get(target.name, {}).items() if mask.any()}
@@ -88,7 +91,7 @@ def attribute_errors(
         ids, opaque = field.render(target.camera).ids, target.opaque
         objects = ObjectMap(ids if opaque is None else np.where(opaque, ids, 0), field.bank.ids)
         labels, members = context_truth(sample, target, list(masks.values()), depths)
-        labels = labels.ravel()[gaussians.source.numpy()]
+        labels = label_gaussians(gaussians, labels, cameras)[0]
         drawn = members[elect(gaussians, labels, target.camera)]
         drawn = drawn if opaque is None else drawn & opaque[..., None]
         known = keep_understood(field.reader, masks)

@@ -26,7 +26,8 @@ from slgaussian.benchmark.protocols import (
 from slgaussian.benchmark.scores import scene_means
 from slgaussian.cameras.paths import between
 from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.gaussians import Gaussians
+from slgaussian.geometry.seen import view_depths
 from slgaussian.io import short_repr
 from slgaussian.kernels import compiling
 from slgaussian.labels import LabelMaps
@@ -240,7 +241,7 @@ class _Recorder:
 
     def evaluate_depths(self, sample: Sample, gaussians: Gaussians) -> None:
         """Score and draw the predicted depths of the context views."""
-        depths = source_depths(gaussians, [view.camera for view in sample.context])
+        depths = view_depths(gaussians, [view.camera for view in sample.context])
         views = list(zip(sample.context, depths, strict=True))
         near, far = pictures.depth_range(*(d if v.depth is None else v.depth for v, d in views))
         self.constants = {"near": near, "far": far}

@@ -1,6 +1,6 @@
-"""Camera paths: interpolation between two cameras, and an orbit among several.
+"""Camera paths: interpolation between two cameras, an orbit among several, and a ring.
 
-Both paths stay among the cameras, because no photograph shows what lies beyond.
+The first two stay among the cameras, because no photograph shows what lies beyond.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ MIN_AXIS_RATIO = 0.3
 """Smallest ratio of the half axes of an orbit: above and below the baseline of two cameras, parts
 of the scene appear that neither shows. At 0.3, at most 0.3 % of a frame is empty in an office hall,
 0.6 % in a kitchen and 5.5 % in a street that is driven along."""
+
+RING_ELEVATION = np.radians(20)
+"""Angle by which the cameras of a ring look down."""
 
 
 def between(a: Camera, b: Camera, t: float) -> Camera:
@@ -109,6 +112,29 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     angles = 2 * np.pi * np.arange(n) / n
     places = start.center - np.outer(np.cos(angles), along) + np.outer(np.sin(angles), across)
     return [_aim(start, place, focus) for place in places]
+
+
+def ring(middle: np.ndarray, up: np.ndarray, radius: float, camera: Camera, n: int) -> list[Camera]:
+    """Return ``n`` viewpoints evenly on a circle around ``middle``, upright and aimed at it.
+
+    The circle is :data:`RING_ELEVATION` above the plane through ``middle``.
+
+    Args:
+        middle, up: float [3]. Point in the world, and the direction up, of length 1.
+        radius: Distance of the viewpoints from ``middle``, scene units.
+        camera: Size and intrinsics.
+    """
+    across = np.linalg.svd(up[None])[2][1:]  # two directions orthogonal to up
+    viewpoints = []
+    for angle in 2 * np.pi * np.arange(n) / n:
+        level = np.cos(angle) * across[0] + np.sin(angle) * across[1]
+        forward = -np.cos(RING_ELEVATION) * level - np.sin(RING_ELEVATION) * up
+        right = np.cross(forward, up) / np.cos(RING_ELEVATION)
+        c2w = np.eye(4)
+        c2w[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+        c2w[:3, 3] = middle - radius * forward
+        viewpoints.append(replace(camera, c2w=c2w))
+    return viewpoints
 
 
 def _half_axes(

@@ -26,6 +26,10 @@ below the second or clash above the second. Chosen on 26 pairs of photographs
 (`docs/measured/poses.md`): clash is 0.35 and more where depth is wrong, else at most 0.18."""
 
 
+GOOD_DETAIL = 0.5
+"""Correlation of the details of a splat and of the photographs from which it is good: 0.6 and more
+for splats that were trained by many photographs."""
+
 MIN_PRECISE = 0.4
 """Fraction of the precise matches that cameras explain as precisely, below which they contradict
 them: 0.68 and more with the cameras of annotated photographs, 0.39 with the worst poses of a
@@ -76,6 +80,8 @@ class Quality:
         clash: Fraction of the pixels visible in another view that have another colour there
             (:meth:`slgaussian.geometry.SceneGeometry.clash`), the larger of two views; for several
             views the median over views, each with the view that it overlaps most.
+        detail, psnr: Agreement of a splat that existed with the photographs, see
+            :class:`slgaussian.predict.splat_check.Agreement`; None for predicted Gaussians.
     """
 
     overlap: float
@@ -90,11 +96,14 @@ class Quality:
     agreement: float = 1.0
     clash: float = 0.0
     contradicted: bool = False
+    detail: float | None = None
+    psnr: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return JSON-compatible numbers, rounded to four decimals."""
         numbers = {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self).items()}
-        return {k: v for k, v in numbers.items() if k != "contradicted" or v}
+        optional = "contradicted", "detail", "psnr"
+        return {k: v for k, v in numbers.items() if k not in optional or v}
 
     def summary(self) -> str:
         """Return the measures as one line of text."""
@@ -123,7 +132,18 @@ class Quality:
         return 1 / (1 + math.exp(-logit))
 
     def verdict(self) -> Verdict:
-        """Judge the scene by overlap, agreement and clash; angle and turn only give reasons."""
+        """Judge the scene by overlap, agreement and clash; angle and turn only give reasons.
+
+        Gaussians that existed are judged by what they show of the photographs.
+        """
+        if self.detail is not None:
+            if self.detail >= GOOD_DETAIL:
+                return Verdict(GOOD)
+            return Verdict(
+                USABLE,
+                f"the splat has {self.detail:.0%} of the detail of the photographs: it is blurred, "
+                "or the cameras are not quite those by which it was trained",
+            )
         if self.overlap < LOW_OVERLAP:
             return Verdict(
                 POOR,

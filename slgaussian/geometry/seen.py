@@ -14,6 +14,7 @@ from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.geometry.boundaries import boundary_map, texture_codes
 from slgaussian.geometry.room import Room, Surroundings, find_room
 from slgaussian.io import short_repr
+from slgaussian.rasterize.picture import picture
 from slgaussian.scene import Camera, View
 
 DEPTH_TOLERANCE = 0.02
@@ -102,10 +103,10 @@ class SceneGeometry:
         """Compute the geometry of the views from which Gaussians were predicted.
 
         Depth is that of the Gaussians in the given cameras, because a predictor may have refined
-        surfaces and cameras after matching. The views of the result are in the coordinates of the
-        Gaussians' means, in which float32 holds positions.
+        surfaces and cameras after matching; that of Gaussians of no pixel is rendered. The views of
+        the result are in the coordinates of the Gaussians' means, in which float32 holds positions.
         """
-        depths = source_depths(gaussians, [view.camera for view in views])
+        depths = view_depths(gaussians, [view.camera for view in views])
         for view, depth in zip(views, depths, strict=True):
             if view.opaque is not None:
                 depth[~view.opaque] = 0  # Gaussians of other views project there
@@ -183,3 +184,16 @@ class SceneGeometry:
             self.room.place(view.camera, depth)
             for view, depth in zip(self.views, self.depths, strict=True)
         )
+
+
+def view_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
+    """Compute depth maps of context views, float32 [V, H, W] in scene units, 0 where unknown.
+
+    That of the pixels' Gaussians (:func:`slgaussian.gaussians.source_depths`); where they are of no
+    pixel, the rendered median depth.
+    """
+    if gaussians.pixelwise:
+        return source_depths(gaussians, cameras)
+    nothing = np.zeros((len(gaussians), 1), np.float32)
+    drawn = (picture(gaussians, nothing, camera, "3dgs", median=True) for camera in cameras)
+    return np.stack([view.median for view in drawn])

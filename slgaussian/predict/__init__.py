@@ -37,6 +37,14 @@ class CountingPredictor(GaussianPredictor, Protocol):
         """Predict as by a call, and count the depth candidates."""
 
 
+@runtime_checkable
+class SplatReader(GaussianPredictor, Protocol):
+    """A predictor whose Gaussians exist already: in the world, of no pixel, kept as they are."""
+
+    def read(self, scene: str) -> Gaussians:
+        """Read the Gaussians of a scene, ``source`` -1."""
+
+
 def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredictor:
     """Load the predictor ``name``; ``settings`` are the fields of its class.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,6 +16,7 @@ PREDICTORS = {
     "planesweep": "slgaussian.predict.configs:PlaneSweepConfig",
     "mvsplat": "slgaussian.predict.configs:MVSplatConfig",
     "precomputed": "slgaussian.predict.configs:PrecomputedGeometryConfig",
+    "gaussians": "slgaussian.predict.configs:ExistingGaussiansConfig",
 }
 
 
@@ -49,3 +51,28 @@ class PrecomputedGeometryConfig(PrecomputedConfig, title="precomputed"):
     """Depth from files of Depth Anything 3, DUSt3R or a phone, one Gaussian a pixel."""
 
     target = "slgaussian.predict.precomputed:PrecomputedGeometry"
+
+
+def splat_digest(place: str | Path) -> str:
+    """Compute the SHA-256 of the splat at ``place``, or of the names and splats of a folder."""
+    from slgaussian.formats.splats import READERS  # which imports OpenCV
+
+    place = Path(place)
+    if not place.is_dir():
+        return file_digest(place)
+    digest = hashlib.sha256()
+    for file in sorted(place.iterdir()):
+        if file.suffix.lower() in READERS:
+            digest.update(f"{file.name}\0{file_digest(file)}\n".encode())
+    return digest.hexdigest()
+
+
+class ExistingGaussiansConfig(ComponentConfig, title="gaussians"):
+    """Gaussians of another program, which stay as they are."""
+
+    target = "slgaussian.predict.gaussians:ExistingGaussians"
+
+    splat: Annotated[Path | None, File(splat_digest)] = Field(
+        None,
+        description="File of Gaussians, .ply or .spz, or a folder of them with one for each scene.",
+    )

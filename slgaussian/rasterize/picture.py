@@ -40,17 +40,23 @@ class Picture(NamedTuple):
         )
 
 
-def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture:
-    """Render Gaussians with ``values`` float32 [N, C] and the settings ``fast``.
+def picture(
+    gaussians: Gaussians,
+    values: np.ndarray,
+    camera: Camera,
+    settings: Settings | str = "fast",
+    median: bool = False,
+) -> Picture:
+    """Render Gaussians with ``values`` float32 [N, C]; the rest is as in ``rasterize``.
 
     Raises:
         InputError: If a number is invalid, naming the first Gaussian with one.
     """
-    settings, arrays = find_settings("fast", gaussians.reach(camera)), gaussians.to_arrays()
+    settings, arrays = find_settings(settings, gaussians.reach(camera)), gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
     drawn, _ = draw_splats(
         gaussians, geometry, np.ascontiguousarray(values, np.float32),
-        make_eye(gaussians.localize(camera), settings), settings, False,
+        make_eye(gaussians.localize(camera), settings), settings, median,
     )  # fmt: skip
     return Picture(*drawn)
 

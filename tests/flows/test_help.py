@@ -100,7 +100,7 @@ def test_every_example_is_understood(words):
     ("line", "expected"),
     [
         ("slgaussian fie", {"field"}),
-        ("slgaussian field --predictor ", {"planesweep", "mvsplat", "precomputed"}),
+        ("slgaussian field --predictor ", {"planesweep", "mvsplat", "precomputed", "gaussians"}),
         ("slgaussian demo --preset ", set(config.PRESETS)),
         ("slgaussian objects ", {"list", "teach", "name", "remove", "extract"}),
         ("slgaussian query fie", set()),  # left to the shell: a folder

@@ -69,7 +69,7 @@ def gaussians(n: int = 3) -> dict[str, np.ndarray]:
         ("scales", np.ones((4, 3), np.float32), "expected float32 [N, 3] with N = 3 as in means"),
         ("means", np.full((3, 3), np.nan, np.float32), "means: found NaN or infinity"),
         ("opacities", np.full(3, 1.5, np.float32), "found 1.5, expected values of at most 1"),
-        ("source", np.full(3, -1, np.int32), "source: found -1, expected values of at least 0"),
+        ("source", np.full(3, -2, np.int32), "source: found -2, expected values of at least -1"),
     ],
 )
 def test_check_arrays_error_has_file_field_actual_and_expected(name, value, message):

@@ -59,7 +59,16 @@ class LangSplatLike:
     steps: int = 1000
 
     def __call__(self, inputs: Inputs) -> _Codes:
-        """Train the autoencoder of a scene, and assign a code to each Gaussian."""
+        """Train the autoencoder of a scene, and assign a code to each Gaussian.
+
+        Raises:
+            InputError: If the Gaussians are of no pixel.
+        """
+        if not inputs.gaussians.pixelwise:
+            raise InputError(
+                "LangSplat-like: needs a Gaussian for each pixel, and those of a splat that exists "
+                "are of none; compare with another method"
+            )
         labels = inputs.label_maps if self.association else inputs.own_labels
         bank = inputs.bank if self.association else inputs.own_bank
         seed = seed_for(inputs.seed, inputs.sample.content, "autoencoder")
