@@ -376,7 +376,7 @@ def lift_field(
         settings["cameras"] = record_estimation(sample, quality)
     if not gaussians.pixelwise:
         origin = f"renderings {sample.rendered}" if sample.rendered else "photographs"
-        settings["views"] = {"of": origin, "used": [view.name for view in sample.context]}
+        settings["views"] = {"kind": origin, "names": [view.name for view in sample.context]}
         settings["lifting"] = "votes"
     return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
 

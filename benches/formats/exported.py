@@ -53,7 +53,7 @@ def measure_formats(
     common = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
     for suffix, (viewer, low_pass, y_up) in VIEWERS.items():
         file = folder / f"scene{suffix}"
-        save_gaussians(field.gaussians, file, field.labels())
+        save_gaussians(field.gaussians, file, field.labels(), field.cameras)
         with (
             tempfile.TemporaryDirectory() as served,
             serve_viewers(browser, Path(served)) as viewers,

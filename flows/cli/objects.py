@@ -242,7 +242,7 @@ def extract(
         typer.echo(f"nothing found for {text!r}, so nothing is written")
         raise typer.Exit(3)
     if is_file:
-        save_gaussians(extracted.gaussians, out, extracted.labels())
+        save_gaussians(extracted.gaussians, out, extracted.labels(), extracted.cameras)
     else:
         extracted.save(out)
     typer.echo(f"objects  {_format_hits(hits)}\n{len(extracted.gaussians):,} Gaussians  {out}")

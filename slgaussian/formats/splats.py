@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.formats.low_pass import include_low_pass
 from slgaussian.gaussians import Gaussians
 from slgaussian.scene import Camera
 
@@ -53,6 +54,8 @@ def save_gaussians(
 
     Args:
         labels: int [N], optional. Object of each Gaussian, 0 for none.
+        cameras: {name: Camera}, optional. The context cameras of a field: the file is then for
+            viewers (:func:`slgaussian.formats.low_pass.include_low_pass`), unless ``full``.
         full: Write the columns of this project too, which only a ``.ply`` holds.
         names: {label: str}, optional. Names of the objects, which only a ``.glb`` holds.
 
@@ -63,6 +66,8 @@ def save_gaussians(
     write, suffix = _function(path, WRITERS), Path(path).suffix.lower()
     if full and suffix != ".ply":
         raise InputError(f"{path}: full is for .ply files; leave it out")
+    if cameras and not full:
+        gaussians = include_low_pass(gaussians, list(cameras.values()))
     options: dict[str, Any] = {".ply": {"full": full}, ".glb": {"names": names}}
     options |= {each: {"cameras": cameras} for each in WITH_CAMERAS}
     write(gaussians, path, labels, **options.get(suffix, {}))

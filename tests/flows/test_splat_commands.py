@@ -48,7 +48,7 @@ def test_field_of_a_splat_says_of_which_views_it_is(
     assert told.out.strip() == str(out)
     assert f"views, {origin}: {', '.join(field.cameras)}\n" in told.err
     views = json.loads((out / "field.json").read_text())["settings"]["views"]
-    assert views == {"of": origin, "used": list(field.cameras)}
+    assert views == {"kind": origin, "names": list(field.cameras)}
     assert used is None or len(field.cameras) == used
     kept, given = field.gaussians.to_arrays(), load_ply("room.ply")[0].to_arrays()
     assert all(np.array_equal(kept[name], given[name]) for name in ("means", "scales", "sh"))
