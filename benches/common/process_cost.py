@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+
+CLI = (sys.executable, "-c", "from flows.cli.app import main; main()")
+"""Command line of this checkout."""
 
 EVERY = 0.2
 """Sampling interval of the memory, seconds."""

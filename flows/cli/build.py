@@ -116,8 +116,8 @@ def field(
     size_text = f"{len(built.gaussians):,} Gaussians, {len(built.bank)} objects"
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
     if (views := built.settings.get("views")) is not None:
-        used = f"labelled {len(views['used'])} of {len(sample.context)} views, {views['of']}"
-        lines.append(f"{used}: {', '.join(views['used'])}")
+        used = f"labelled {len(views['names'])} of {len(sample.context)} views, {views['kind']}"
+        lines.append(f"{used}: {', '.join(views['names'])}")
         lines.append(f"the splat has {quality.detail:.0%} of their detail, {quality.psnr:.1f} dB")
     if verbose:
         lines += [quality.summary(), *(f"{k}: {v}" for k, v in built.settings["account"].items())]

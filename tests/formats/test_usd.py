@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from slgaussian.formats.axes import turn_axes
-from slgaussian.formats.splats import save_gaussians
+from slgaussian.formats.usd import save_usd
 from slgaussian.gaussians import Gaussians
 from slgaussian.scene import Camera
 from tests.formats.test_compact import make_gaussians
@@ -33,7 +33,7 @@ def scene(request, tmp_path):
     suffix, degree = request.param
     gaussians = replace(make_gaussians(degree=degree), origin=FAR)
     path = tmp_path / f"scene{suffix}"
-    save_gaussians(gaussians, path, LABELS, make_cameras())
+    save_usd(gaussians, path, LABELS, make_cameras())
     return gaussians, path, Usd.Stage.Open(str(path))
 
 
@@ -105,7 +105,7 @@ def test_save_usd_passes_the_validators_of_usd_core_and_nvidia(scene):
 def test_save_usd_writes_the_same_bytes_at_any_time(scene):
     gaussians, path, _ = scene
     again = path.with_stem("again")
-    save_gaussians(gaussians, again, LABELS, make_cameras())
+    save_usd(gaussians, again, LABELS, make_cameras())
     assert again.read_bytes() == path.read_bytes()
     if path.suffix == ".usdz":
         (member,) = zipfile.ZipFile(path).infolist()
