@@ -217,7 +217,7 @@ def export(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", help="File: .html, .ply, .spz, .sog or .glb; folder for masks."
+            "--out", "-o", help="File, by its suffix: .html, .ply, .spz, ...; folder for masks."
         ),
     ],
     texts: Annotated[
@@ -235,8 +235,9 @@ def export(
     splatting that viewers expect; with --full each Gaussian also has its ID code and weight
     (f_sem_0 and on), its source pixel (source), and its object (label, 0 for none). A .spz and a
     .sog store Gaussians in fewer bytes. A .glb is glTF with KHR_gaussian_splatting, which has the
-    object of each Gaussian (_LABEL) and the names of objects. The masks.parquet of a run becomes a
-    folder of PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png.
+    object of each Gaussian (_LABEL) and the names of objects. A .usda, .usdc or .usdz (OpenUSD) and
+    a .rrd (Rerun) also have the cameras of the views. The masks.parquet of a run becomes a folder
+    of PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png.
 
     \b
     slgaussian export field/ -o scene.html
