@@ -23,10 +23,10 @@ from slgaussian.build import build_field
 from slgaussian.cameras.paths import between
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
+from slgaussian.formats.low_pass import include_low_pass
 from slgaussian.formats.splats import READERS, load_gaussians, save_gaussians
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import rasterize
-from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser
@@ -35,12 +35,12 @@ from tests.formats.viewers import convert, serve_viewers
 SCENES = 3
 
 VIEWERS = {
-    ".ply": ("spark", 0.3, False),
-    ".spz": ("spark", 0.3, True),
-    ".sog": ("spark", 0.3, False),
-    ".glb": ("playcanvas", 0.3 / 4, True),
+    ".ply": ("spark", False),
+    ".spz": ("spark", True),
+    ".sog": ("spark", False),
+    ".glb": ("playcanvas", True),
 }
-"""Viewer of a format, what it adds to projected covariances in px^2, and if y is up in the file."""
+"""Viewer of a format, with its default settings, and if y is up in the file."""
 
 
 def measure_formats(
@@ -49,9 +49,10 @@ def measure_formats(
     """Yield a row per format: bytes, and the error of renderings after reloading it."""
     cameras = list(field.cameras.values())
     middle = between(cameras[0], cameras[-1], 0.5)
-    true = [_draw(field.gaussians, camera) for camera in (*cameras, middle)]
+    written = include_low_pass(field.gaussians, cameras)
+    true = [_draw(written, camera) for camera in (*cameras, middle)]
     common = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
-    for suffix, (viewer, low_pass, y_up) in VIEWERS.items():
+    for suffix, (viewer, y_up) in VIEWERS.items():
         file = folder / f"scene{suffix}"
         save_gaussians(field.gaussians, file, field.labels(), field.cameras)
         with (
@@ -60,7 +61,7 @@ def measure_formats(
         ):
             (Path(served) / file.name).symlink_to(file)
             seen = viewers.draw(viewer, file.name, middle, y_up)
-        drawn = psnr(seen, _draw(field.gaussians, middle, Settings(low_pass=low_pass)))
+        drawn = psnr(seen, _draw(field.gaussians, middle))
         row = common | _row(suffix, file) | {"viewer": viewer, "drawn": drawn}
         if suffix == ".sog":
             file = convert(file, folder / "sog.ply")
@@ -95,8 +96,8 @@ def _row(suffix: str, file: Path) -> dict:
     return {"format": suffix, "megabytes": file.stat().st_size / 1e6}
 
 
-def _draw(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast") -> np.ndarray:
-    picture = rasterize(gaussians, None, camera, settings=settings).values.numpy()
+def _draw(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    picture = rasterize(gaussians, None, camera).values.numpy()
     return np.rint(picture.clip(0, 1) * 255).astype(np.uint8)
 
 
