@@ -42,8 +42,8 @@ MIN_COVER = 0.05
 EDGE = np.ones((5, 5), np.uint8)
 """Neighbourhood of a compared pixel that must show Gaussians."""
 
-SCALES = (1e-3, 1e-2, 0.1, 10, 1e2, 1e3, *(1.08**power for power in range(-20, 21) if power))
-"""Tried ratios of the units of the splat and the cameras: powers of ten, and any up to 4.7."""
+SCALES = (1e-3, 1e-2, 1e2, 1e3, *(1.08**power for power in range(-30, 31) if power))
+"""Tried ratios of the units of the splat and the cameras: any up to 10, and powers of ten."""
 
 TRIED_VIEWS = 3
 """Number of views with which other readings are tried."""
@@ -141,25 +141,27 @@ def check_world(gaussians: Gaussians, views: Sequence[View], trusted: bool = Fal
             names the axes or the unit that would explain it, if one does.
     """
     photographs = [Photograph.of(view) for view in views]
-    found = compare(gaussians, photographs)
-    if trusted or (found.cover >= MIN_COVER and found.detail >= SURE_DETAIL):
-        return found
+    agreement = compare(gaussians, photographs)
+    if trusted or (agreement.cover >= MIN_COVER and agreement.detail >= SURE_DETAIL):
+        return agreement
     some = [each.shrink() for each in photographs[:: -(-len(photographs) // TRIED_VIEWS)]]
     before = compare(gaussians, some).share
     readings = _readings(gaussians, some)
     best, name = max((compare(splat, moved).share, name) for name, splat, moved in readings)
     explained = best >= MIN_DETAIL and best >= before + MIN_GAIN
-    if found.cover >= MIN_COVER and found.detail >= MIN_DETAIL and not explained:
-        return found
-    if found.cover < MIN_COVER:
-        what = f"it covers {found.cover:.0%} of what they show"
+    if agreement.cover >= MIN_COVER and agreement.detail >= MIN_DETAIL and not explained:
+        return agreement
+    if agreement.cover < MIN_COVER:
+        what = f"it covers {agreement.cover:.0%} of what they show"
     else:
-        what = f"it has {max(found.detail, 0):.0%} of the detail of the photographs there"
+        what = f"it has {max(agreement.detail, 0):.0%} of the detail of the photographs there"
     if explained:
-        advice = f"{name} it would have {best:.0%}: write one of the two again in the other's world"
+        advice = (
+            f"and {name} it would have {best:.0%}: write one of the two again in the other's world"
+        )
     else:
         advice = f"expected {MIN_DETAIL:.0%} or more: give the cameras by which it was trained"
-    raise InputError(f"the splat and the cameras are two worlds: {what}, and {advice}")
+    raise InputError(f"the splat and the cameras are two worlds: {what}, {advice}")
 
 
 def _shrink(image: np.ndarray) -> np.ndarray:
@@ -176,8 +178,8 @@ def _readings(
 ) -> Iterator[tuple[str, Gaussians, list[Photograph]]]:
     """Yield other readings of axes and units: a description, the splat, and the photographs."""
     flip, quarter = np.diag([1.0, -1, -1, 1]), np.eye(4)[[0, 2, 1, 3]] * [[1], [1], [-1], [1]]
-    own = "with y and z of each camera's own axes reversed (OpenGL)"
-    yield own, gaussians, [each.move(each.camera.c2w @ flip) for each in photographs]
+    reading = "with y and z of each camera's own axes reversed (OpenGL)"
+    yield reading, gaussians, [each.move(each.camera.c2w @ flip) for each in photographs]
     for turn, name in (
         (flip, "with y and z of the cameras' world reversed"),
         (quarter, "with the cameras' world turned from z up to y up"),

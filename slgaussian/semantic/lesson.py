@@ -70,6 +70,8 @@ class Lesson:
             )
         elif not self.cameras:
             problem = "no target view, expected at least one"
+        elif not self.gaussians.pixelwise:
+            problem = "the Gaussians of a splat that exists, expected one for each pixel"
         elif len(source) and not 0 <= int(source.min()) <= int(source.max()) < self.labels.size:
             problem = (
                 f"a Gaussian from pixel {int(source.min())} or {int(source.max())}, expected "
