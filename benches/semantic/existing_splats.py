@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from slgaussian.benchmark.metrics import iou
 from slgaussian.build import build_field
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
-from slgaussian.formats.ply import save_ply
+from slgaussian.formats.splats import save_gaussians
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict.unproject import unproject
 from slgaussian.scene import Sample, Scene
@@ -67,14 +66,16 @@ def rooms(count: int) -> list[dict]:
         scene = datasets.load("procedural", seed=seed, views=6)
         sample = scene.sample(CONTEXT, TARGETS)
         own = build_field(sample)
-        splats = {"exact": exact_splat(scene, list(scene.cameras), 312, 432)}
-        splats["exported"] = replace(own.gaussians, features=None, guessed=None)
+        splats = {
+            "exact": (exact_splat(scene, list(scene.cameras), 312, 432), None),
+            "exported": (own.gaussians, own.cameras),
+        }
         row = {"room": str(seed)}
         row["photographs"], row["photographs_hit"] = score(own, sample)
-        for name, splat in splats.items():
+        for name, (splat, cameras) in splats.items():
             with tempfile.TemporaryDirectory() as folder:
                 file = Path(folder) / "splat.ply"
-                save_ply(splat, file)
+                save_gaussians(splat, file, cameras=cameras)
                 method = Method("gaussians", settings={"gaussians": {"splat": file}})
                 row[name], row[f"{name}_hit"] = score(build_field(sample, method), sample)
         rows.append(row)
@@ -108,7 +109,7 @@ def costs() -> list[dict]:
         for number in GAUSSIANS:
             side = (number / 6 / (3 / 4)) ** 0.5
             splat = exact_splat(scene, names[::9], round(side * 3 / 4), round(side))
-            save_ply(splat, folder / f"{number}.ply")
+            save_gaussians(splat, folder / f"{number}.ply")
         for views, number in [(v, 500_000) for v in VIEWS] + [(20, n) for n in GAUSSIANS]:
             chosen = [names[i] for i in np.linspace(0, len(names) - 1, views).round().astype(int)]
             words = [*CLI, "field", folder / f"{number}.ply", "--cameras", folder]
