@@ -3,6 +3,8 @@
 // filter of 0.3 px^2.
 
 const NEAR = about.near, LOW_PASS = 0.3, MARGIN = 0.3, CUT = 1 / 1024, VISIBLE = 0.5;
+// Alpha by which colour is divided at least: a splat of another program was trained on black.
+const LEAST = about.on_black ? "1.0" : VISIBLE;
 const WIDE = 1024; // Gaussians in a row of the texture, two texels each
 // Gaussians an instance. In software rendering each instance costs some 10 us.
 const BATCH = 256;
@@ -114,7 +116,7 @@ vec3 painted(float x, int row) {
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy);
   vec4 c = texelFetch(drawn, at, 0), m = texelFetch(marked, at, 0);
-  vec3 rgb = clamp(c.rgb / max(c.a, ${VISIBLE}), 0.0, 1.0);
+  vec3 rgb = clamp(c.rgb / max(c.a, ${LEAST}), 0.0, 1.0);
   float grey = dot(rgb, vec3(0.299, 0.587, 0.114));
   if (mode == 1) {
     float z = m.x / max(m.a, 1e-4), inverse = 1.0 / max(z, ${NEAR / 100});

@@ -108,6 +108,7 @@ def scene_page(
         "near": min(find_settings("fast", gaussians.reach(c)).near for c in field.cameras.values()),
         "up": np.asarray(up, np.float64).tolist(),
         "depths": list(depth_range(*depths)),
+        "on_black": not gaussians.pixelwise,  # as SemanticField.render
         "stripes": bool(field.edits.removed),
         "things": [_thing(thing, field, labels, list(looks)) for thing in things],
         "guesses": gaussians.guessed is not None and bool(gaussians.guessed.any()),
