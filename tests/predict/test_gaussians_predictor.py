@@ -41,7 +41,7 @@ def test_field_keeps_the_bytes_of_a_splat_and_answers_as_well_as_one_of_photogra
     kept, given = field.gaussians.to_arrays(), load_ply(file)[0].to_arrays()
     assert all(kept[name].tobytes() == given[name].tobytes() for name in KEPT)
     assert (kept["source"] == -1).all()
-    assert field.settings["views"] == {"of": "photographs", "used": list(ENDS)}
+    assert field.settings["views"] == {"kind": "photographs", "names": list(ENDS)}
     assert field.settings["quality"]["detail"] > 0.6
     assert score(field, sample)[0] > score(build_field(sample), sample)[0] - 0.02
 
