@@ -21,6 +21,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.language.rules import Rules
+from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
@@ -130,6 +131,20 @@ def test_page_draws_as_the_rasteriser(page, field):
         # 25 dB is required; the page has 8 bits for each colour, and 16 for a mean within a block.
         assert psnr(snapshot(page, index), field.render(camera).rgb) > 40
     assert psnr(snapshot(page, 0), field.render(camera).rgb) < 30  # a different view
+
+
+def test_page_and_render_draw_a_splat_of_another_program_on_black(browser, field, camera, tmp_path):
+    arrays = field.gaussians.to_arrays()
+    thin = {"opacities": arrays["opacities"] * np.float32(0.3)}
+    thin |= {"sh": arrays["sh"][:, :1], "source": np.full(len(field.gaussians), -1, np.int32)}
+    foreign = field.with_changes(gaussians=field.gaussians.with_arrays(**thin))
+    rendered = foreign.render(camera)
+    drawn = rasterize(foreign.gaussians, None, camera).values.numpy().clip(0, 1) * 255
+    assert (rendered.alpha < 0.9).mean() > 0.1
+    assert psnr(rendered.rgb, drawn) > 45
+    (tmp_path / "a.html").write_text(scene_page(foreign), "utf-8")
+    with open_page(browser, tmp_path / "a.html") as tab:
+        assert psnr(snapshot(tab), rendered.rgb) > 35
 
 
 def test_answer_highlights_the_mask_of_the_query(page, view):
