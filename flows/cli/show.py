@@ -249,6 +249,7 @@ def export(
     from slgaussian.field import SemanticField
     from slgaussian.formats.splats import WRITERS, save_gaussians
     from slgaussian.io import write_file
+    from slgaussian.objects import name_objects
     from slgaussian.viewer.page.scene_page import scene_page
 
     if full and out.suffix.lower() != ".ply":
@@ -276,17 +277,10 @@ def export(
     else:
         field, names = SemanticField.load(folder).drop_hidden(), None
         if suffix == ".glb":
-            names = _name_objects(open_field(folder, ctx, rules=False)[1])
+            opened = open_field(folder, ctx, rules=False)[1]
+            names = name_objects(opened.reader) | dict(opened.edits.names)
         save_gaussians(field.gaussians, out, field.labels(), field.cameras, full, names)
     typer.echo(out)
-
-
-def _name_objects(field: SemanticField) -> dict[int, str]:
-    """Return the name of each object, or the word that fits it best."""
-    from slgaussian.objects import rank_words
-
-    best = (words[0][0] for words in rank_words(field))
-    return dict(zip(field.bank.ids.tolist(), best, strict=True)) | dict(field.edits.names)
 
 
 def _photographs(folder: Path, field: SemanticField) -> dict[str, np.ndarray]:

@@ -40,8 +40,8 @@ def choose_splat(
             "or write its Gaussians as a splat by `slgaussian export`"
         )
     if len(splats) != 1:
-        found = ", ".join((splats or [*photos])[:4])
-        raise InputError(f"field: found {found}, expected one splat, {' or '.join(READERS)}")
+        given = ", ".join((splats or [*photos])[:4])
+        raise InputError(f"field: found {given}, expected one splat, {' or '.join(READERS)}")
     if values.get("predictor", "gaussians") != "gaussians":
         raise InputError(
             f"predictor: found {values['predictor']!r} and the splat {splats[0]}, whose Gaussians "

@@ -55,17 +55,17 @@ def sum_label_weights(
     arrays = gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
     nothing = np.zeros((len(gaussians), 1), np.float32)
-    for of_view, camera in zip(labels, cameras, strict=True):
+    for view_labels, camera in zip(labels, cameras, strict=True):
         chosen = find_settings(settings, gaussians.reach(camera))
         eye = make_eye(gaussians.localize(camera), chosen)
         _, scene = draw_splats(gaussians, geometry, nothing, eye, chosen, False)
-        total = total + _sum_view(scene, np.ascontiguousarray(of_view, np.int32), total.shape)
+        total = total + _sum_view(scene, np.ascontiguousarray(view_labels, np.int32), total.shape)
     return total
 
 
 def _sum_view(scene: SplatScene, labels: np.ndarray, shape: tuple[int, int]) -> sparse.csr_array:
     bins = scene.bins
-    found, ends, local = _list_labels(labels, bins.across, bins.down)
+    listed, ends, local = _list_labels(labels, bins.across, bins.down)
     counts = np.diff(ends, prepend=0)
     splats = np.diff(bins.starts)
     sums = np.zeros(int((counts * splats).sum()), np.float32)
@@ -77,7 +77,7 @@ def _sum_view(scene: SplatScene, labels: np.ndarray, shape: tuple[int, int]) -> 
     firsts = np.repeat(ends - counts, splats)
     columns = np.arange(len(sums)) - np.repeat(np.cumsum(widths) - widths - firsts, widths)
     seen = sums > 0
-    entries = sums[seen].astype(np.float64), (rows[seen], found[columns[seen]])
+    entries = sums[seen].astype(np.float64), (rows[seen], listed[columns[seen]])
     return sparse.csr_array(sparse.coo_array(entries, shape=shape))
 
 
@@ -90,7 +90,7 @@ def _list_labels(labels, across, down):
         int32 [H, W]: The place of each pixel's label in the list of its tile.
     """
     height, width = labels.shape
-    found = np.empty(height * width, np.int32)
+    listed = np.empty(height * width, np.int32)
     ends = np.empty(across * down, np.int64)
     local = np.empty((height, width), np.int32)
     end = 0
@@ -100,14 +100,14 @@ def _list_labels(labels, across, down):
         for y in range(top, min(top + TILE_HEIGHT, height)):
             for x in range(left, min(left + TILE_WIDTH, width)):
                 at = first
-                while at < end and found[at] != labels[y, x]:
+                while at < end and listed[at] != labels[y, x]:
                     at += 1
                 if at == end:
-                    found[end] = labels[y, x]
+                    listed[end] = labels[y, x]
                     end += 1
                 local[y, x] = at - first
         ends[tile] = end
-    return found[:end].copy(), ends, local
+    return listed[:end].copy(), ends, local
 
 
 @kernel

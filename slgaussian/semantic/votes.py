@@ -47,8 +47,8 @@ def label_gaussians(
             0 where no view shows the Gaussian in a labelled pixel.
     """
     if gaussians.pixelwise:
-        of_pixels = labels.ravel()[gaussians.to_arrays()["source"]]
-        return of_pixels, (of_pixels > 0).astype(np.float32)
+        pixel_labels = labels.ravel()[gaussians.to_arrays()["source"]]
+        return pixel_labels, (pixel_labels > 0).astype(np.float32)
     ids = np.unique(np.append(labels, 0))
     rows = np.searchsorted(ids, labels).astype(np.int32)
     winners, shares = elect(sum_label_weights(gaussians, [*rows], cameras, len(ids)))

@@ -38,7 +38,7 @@ def upright(tmp_path_factory):
     params=[(None, 0.0), (6, 0.0), (8, -0.2), (3, -0.05)],
     ids=["upright", "right", "left, distorted", "upside down, distorted"],
 )
-def found(request, upright, tmp_path):
+def solution(request, upright, tmp_path):
     """The pair, stored with an EXIF orientation, and as if a lens of that k1 had been found."""
     orientation, k1 = request.param
     folder = tmp_path / "photos"
@@ -52,18 +52,18 @@ def found(request, upright, tmp_path):
 
 
 @pytest.mark.parametrize("format", ["colmap", "colmap-text"])
-def test_colmap_model_projects_in_pycolmap_as_here(found, format, tmp_path):
+def test_colmap_model_projects_in_pycolmap_as_here(solution, format, tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
-    write_cameras(tmp_path / "sparse/0", format, *found)
-    expected = build_sparse_model(*found)
+    write_cameras(tmp_path / "sparse/0", format, *solution)
+    expected = build_sparse_model(*solution)
     model = pycolmap.Reconstruction(tmp_path / "sparse/0")
-    assert [model.images[i].name for i in (1, 2)] == list(found.files)
+    assert [model.images[i].name for i in (1, 2)] == list(solution.files)
     for image in model.images.values():
-        camera, k1 = expected.cameras[image.name], found.estimated.distortions.get(image.name, 0)
+        camera, k1 = expected.cameras[image.name], solution.estimated.distortions.get(image.name, 0)
         assert image.cam_from_world().matrix() == pytest.approx(camera.w2c[:3], abs=1e-14)
         assert (image.camera.calibration_matrix() == camera.K).all()
         assert image.camera.params.tolist()[3:] == ([k1] if k1 else [camera.K[1, 2]])
-        with Image.open(found.files[image.name]) as stored:
+        with Image.open(solution.files[image.name]) as stored:
             assert (image.camera.width, image.camera.height) == stored.size
     assert len(model.points3D) == len(expected.points) > 500
     values = [(p.xyz, p.color, p.error) for _, p in sorted(model.points3D.items())]
@@ -78,21 +78,21 @@ def test_colmap_model_projects_in_pycolmap_as_here(found, format, tmp_path):
         for seen in point.track.elements:
             image = model.images[seen.image_id]
             column, row = map(int, image.points2D[seen.point2D_idx].xy)
-            shown.append(np.asarray(Image.open(found.files[image.name]))[row, column])
+            shown.append(np.asarray(Image.open(solution.files[image.name]))[row, column])
         assert point.color == pytest.approx(np.mean(shown, 0), abs=1)
 
 
 @pytest.mark.parametrize("format", ["colmap", "colmap-text"])
-def test_colmap_model_is_read_as_the_found_cameras(found, format, tmp_path):
-    write_cameras(tmp_path / "model", format, *found)
-    scene, _ = posed_scene(tmp_path / "model", [str(file) for file in found.files.values()])
-    assert scene.estimation == json.loads(json.dumps(found.estimated.as_json()))
-    for name, camera in build_sparse_model(*found).cameras.items():
+def test_colmap_model_is_read_as_the_found_cameras(solution, format, tmp_path):
+    write_cameras(tmp_path / "model", format, *solution)
+    scene, _ = posed_scene(tmp_path / "model", [str(file) for file in solution.files.values()])
+    assert scene.estimation == json.loads(json.dumps(solution.estimated.as_json()))
+    for name, camera in build_sparse_model(*solution).cameras.items():
         mine = scene.cameras[name]
         np.testing.assert_allclose(mine.c2w, camera.c2w, atol=1e-12)
         assert (mine.K == camera.K).all() and mine.estimated == camera.estimated is not None
-        if name not in found.estimated.distortions:
-            with Image.open(found.files[name]) as stored:
+        if name not in solution.estimated.distortions:
+            with Image.open(solution.files[name]) as stored:
                 assert (scene.read(name).image == np.asarray(stored)).all()
 
 
@@ -116,14 +116,14 @@ def test_colmap_model_that_was_changed_is_given_and_kept(upright, tmp_path):
         check_target(place)
 
 
-def test_poses_bounds_are_read_as_the_stored_cameras(found, tmp_path):
-    out = found.files["a.png"].parent / "poses_bounds.npy"
-    if found.estimated.distortions:
+def test_poses_bounds_are_read_as_the_stored_cameras(solution, tmp_path):
+    out = solution.files["a.png"].parent / "poses_bounds.npy"
+    if solution.estimated.distortions:
         with pytest.raises(InputError, match=r"cannot hold the distortion of 'a\.png'; write"):
-            write_cameras(out, "llff", *found)
+            write_cameras(out, "llff", *solution)
         return
-    write_cameras(out, "llff", *found)
-    scene, expected = llff.read(out.parent, "."), build_sparse_model(*found)
+    write_cameras(out, "llff", *solution)
+    scene, expected = llff.read(out.parent, "."), build_sparse_model(*solution)
     for view, (name, camera) in enumerate(expected.cameras.items()):
         mine = scene.cameras[name]
         np.testing.assert_allclose(mine.c2w, camera.c2w, atol=1e-12)
@@ -133,7 +133,7 @@ def test_poses_bounds_are_read_as_the_stored_cameras(found, tmp_path):
         assert ((depth > mine.near) & (depth < mine.far)).mean() > 0.99
     Image.new("RGB", (8, 8)).save(out.parent / "c.png")
     with pytest.raises(InputError, match=r"without names, but of .*'c\.png' has no camera; write"):
-        write_cameras(out, "llff", *found)
+        write_cameras(out, "llff", *solution)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from slgaussian.predict import load_predictor
 from slgaussian.predict.splat_check import check_world
 from slgaussian.predict.splat_views import choose_views, render_sample, surround
 
-KEPT = ("means", "scales", "quats", "opacities", "sh")
+FIELDS = ("means", "scales", "quats", "opacities", "sh")
 ENDS, BETWEEN, SIZE = ("view_00", "view_05"), ("view_02",), (144, 192)
 
 
@@ -38,9 +38,9 @@ def method(place, **components):
 def test_field_keeps_the_bytes_of_a_splat_and_answers_as_well_as_one_of_photographs(room, file):
     sample = room.sample(ENDS, BETWEEN, SIZE)
     field = build_field(sample, method(file))
-    kept, given = field.gaussians.to_arrays(), load_ply(file)[0].to_arrays()
-    assert all(kept[name].tobytes() == given[name].tobytes() for name in KEPT)
-    assert (kept["source"] == -1).all()
+    stored, given = field.gaussians.to_arrays(), load_ply(file)[0].to_arrays()
+    assert all(stored[name].tobytes() == given[name].tobytes() for name in FIELDS)
+    assert (stored["source"] == -1).all()
     assert field.settings["views"] == {"kind": "photographs", "names": list(ENDS)}
     assert field.settings["quality"]["detail"] > 0.6
     assert score(field, sample)[0] > score(build_field(sample), sample)[0] - 0.02
